@@ -205,9 +205,9 @@ def main(argv: list[str] | None = None) -> int:
         if default_engine() != "pybullet":
             print("PyBullet is not installed: its rows are left out", file=sys.stderr)
     else:
-        found = args.policy or race(args.runs, args.learner, args.seeds, args.minutes)
+        files = args.policy or race(args.runs, args.learner, args.seeds, args.minutes)
         columns = RACED
-        rows = seeds(found, judge)
+        rows = seeds(files, judge)
     cells: list[dict[str, Any]] = []
     for line, done in rows:
         if not cells:

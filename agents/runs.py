@@ -74,10 +74,10 @@ def save_checkpoint(folder: Path, learner: Learner, state: dict[str, Any]) -> Pa
 
 def latest_checkpoint(folder: Path) -> Path | None:
     """The latest complete checkpoint in a folder; None without one."""
-    found = [
+    complete = [
         path for path in folder.glob(f"{_PREFIX}*") if path.name.removeprefix(_PREFIX).isdecimal()
     ]
-    return max(found, default=None)
+    return max(complete, default=None)
 
 
 def saved_trials(folder: Path) -> int:

@@ -289,7 +289,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    found = agreement(
+    report = agreement(
         options.policy,
         options.episodes,
         options.set_ups,
@@ -298,7 +298,7 @@ def run(options: argparse.Namespace) -> int:
         floor=options.floor,
         workers=options.workers,
     )
-    print(json.dumps(found, indent=2) if options.json else table(found))
+    print(json.dumps(report, indent=2) if options.json else table(report))
     return 0
 
 

@@ -136,10 +136,10 @@ def pairs(policy: str, links: Sequence[str], seeds: Sequence[int]) -> list[tuple
     return rows
 
 
-def summary(found: Mapping[str, Sequence[tuple]]) -> list[dict[str, Any]]:
+def summary(by_link: Mapping[str, Sequence[tuple]]) -> list[dict[str, Any]]:
     """Success on both sides, their difference, and the counts of the commands, by link."""
     cells = []
-    for name, rows in found.items():
+    for name, rows in by_link.items():
         count = len(rows)
         alone, held, sent, refused, lost = (sum(row[i] for row in rows) for i in range(5))
         more = [row[1] - row[0] for row in rows]
@@ -180,13 +180,13 @@ def in_real_time(seconds: float) -> dict[str, float]:
         counts = stream.counts
     off = np.array(apart)
     off = 1e3 * np.minimum(off, stream.period - off)
-    found = {
+    jitter = {
         "p50_ms": np.quantile(off, 0.5),
         "p99_ms": np.quantile(off, 0.99),
         "worst_ms": off.max(),
     }
     told = ("sent", "late", "skipped", "lost", "refused")
-    return {name: round(float(value), 3) for name, value in found.items()} | {
+    return {name: round(float(value), 3) for name, value in jitter.items()} | {
         name: getattr(counts, name) for name in told
     }
 
@@ -217,12 +217,12 @@ def run(arguments: argparse.Namespace) -> int:
         (arguments.policy, arguments.links, list(range(first, min(first + 10, last))))
         for first in range(HELD_OUT_SEED, last, 10)
     ]
-    found: dict[str, list[tuple]] = {name: [] for name in arguments.links}
+    by_link: dict[str, list[tuple]] = {name: [] for name in arguments.links}
     bar = progress(jobs, "episodes")
     for _, rows in zip(bar, shared(pairs, jobs, arguments.workers), strict=True):
         for name, *row in rows:
-            found[name].append(tuple(row))
-    cells = summary(found)
+            by_link[name].append(tuple(row))
+    cells = summary(by_link)
     command = f"python -m experiments.deployed --policy {arguments.policy} --episodes {arguments.episodes}"
     write_text(arguments.out, json.dumps({"command": command, "cells": cells}, indent=1) + "\n")
     print(deployed_table(cells))

@@ -66,9 +66,9 @@ def calibrated(seed: int) -> Path:
     """The hand file of a hidden hand's sweep, with the virtual hands beside it."""
     path = FILES / f"{seed}.toml"
     if not path.exists():
-        found = identify(swept(slack_hand(seed), seed), hold_out=True, draws=50)
-        write_draws(path, found.hand, found)
-        write_text(path, hand_to_toml(named(found, HPAC, f"the sweep of hand {seed}")))
+        identified = identify(swept(slack_hand(seed), seed), hold_out=True, draws=50)
+        write_draws(path, identified.hand, identified)
+        write_text(path, hand_to_toml(named(identified, HPAC, f"the sweep of hand {seed}")))
     return path
 
 

@@ -208,15 +208,15 @@ def rows(episodes: int, body: str, told: bool) -> dict[str, Any]:
         "loop": Feeling(env, fit, False),
         "loop with memory": Feeling(env, fit, True),
     }
-    found = {}
+    judged = {}
     for name, act in policies.items():
         seeds = range(HELD_OUT_SEED, HELD_OUT_SEED + episodes, WORLDS)
         parts = [episodes_of(env, act, seed) for seed in seeds]
-        found[name] = summary(
+        judged[name] = summary(
             {key: np.concatenate([one[key] for one in parts]) for key in parts[0]}
         )
     env.close()
-    return found
+    return judged
 
 
 def closures(count: int, episodes: int) -> dict[str, Any]:

@@ -125,8 +125,8 @@ def judge_hand(
     errors = np.full(len(JOINTS), np.nan)
     try:
         judged(record, HPAC)
-        found = identify(record, hold_out=True)
-        written = hand_from_toml(hand_to_toml(found.hand), "the calibrated hand")
+        identified = identify(record, hold_out=True)
+        written = hand_from_toml(hand_to_toml(identified.hand), "the calibrated hand")
     except (RecordError, IdentificationError):
         return HiddenHand(errors, {}, {}, 0, refused=True)
     off = np.degrees(np.abs(settled_joints_from_servo(servo, written) - truth))
@@ -137,9 +137,9 @@ def judge_hand(
         joints = [JOINT_INDEX[joint] for joint in digit.joints]
         free = (truth[:, joints] < np.array(built.metal[column].stop) - 1e-6).all(axis=1)
         errors[joints] = off[np.ix_(free, joints)].mean(axis=0)
-        if name not in found.fits:
+        if name not in identified.fits:
             continue
-        fit = found.fits[name]
+        fit = identified.fits[name]
         missed += int((~free).sum() * 31 / len(servo) >= 2 and not fit.samples.at_stops)
         if know_truth:
             for item, true in zip(fit.estimates, values(swept_digit(built, column)), strict=True):
@@ -243,10 +243,10 @@ def calibration(count: int, seed: int, in_physics: int = 0) -> Part:
     """`hpac calibrate` on hidden hands of every kind: `count` of each law in metal, `in_physics` in
     the physics engine.
     """
-    found = {laws: run_hidden(count, seed, laws) for laws in LAWS}
+    hands = {laws: run_hidden(count, seed, laws) for laws in LAWS}
     if in_physics:
-        found["physics engine"] = run_hidden_in_physics(in_physics, seed)
-    rows = rows_of((*COLUMNS, *COVERAGE), found)
+        hands["physics engine"] = run_hidden_in_physics(in_physics, seed)
+    rows = rows_of((*COLUMNS, *COVERAGE), hands)
     lines = [
         f"## `hpac calibrate` on hidden hands, seed {seed}",
         "",

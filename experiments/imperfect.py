@@ -93,12 +93,12 @@ def judge(seed: int, both_ways: bool) -> Judged:
     again = swept(hand, second, both_ways)
     try:
         remarks = judged(record, HPAC) + judged(again, HPAC)
-        found = identify(record, hold_out=True)
-        remarks += doubts(found, HPAC)
+        identified = identify(record, hold_out=True)
+        remarks += doubts(identified, HPAC)
     except (RecordError, IdentificationError) as error:
         return Judged(seed, str(error))
-    file = hand_from_toml(hand_to_toml(found.hand), "the calibrated hand")
-    alone = max(error.mean_abs_deg for error in file_errors(found, file).values())
+    file = hand_from_toml(hand_to_toml(identified.hand), "the calibrated hand")
+    alone = max(error.mean_abs_deg for error in file_errors(identified, file).values())
     told = expected_worst_deg(check_errors(again, file, HPAC))
     true = true_errors_deg(hand, third, file, seed)
     nominal = true_errors_deg(hand, third, HPAC, seed)
@@ -157,16 +157,26 @@ def run(arguments: argparse.Namespace) -> int:
     """Judge the hands with either protocol, print the table and write it."""
     writable_file(arguments.out)
     start = CHOSEN_ON if arguments.chosen_on else JUDGED_ON
-    found = {}
+    judged_by = {}
     for name, both_ways in (("flexion alone", False), ("points both ways", True)):
         seeds = progress(range(start, start + arguments.hands), name)
-        found[name] = [judge(seed, both_ways) for seed in seeds]
-    taken = {name: [hand for hand in hands if not hand.refused] for name, hands in found.items()}
+        judged_by[name] = [judge(seed, both_ways) for seed in seeds]
+    taken = {
+        name: [hand for hand in hands if not hand.refused] for name, hands in judged_by.items()
+    }
     rows = rows_of(COLUMNS, taken)
-    refused = [f"{name} {hand.seed}" for name in found for hand in found[name] if hand.refused]
+    refused = [
+        f"{name} {hand.seed}" for name in judged_by for hand in judged_by[name] if hand.refused
+    ]
     command = f"python -m experiments.imperfect --hands {arguments.hands}"
     command += " --chosen-on" if arguments.chosen_on else ""
-    data = {"command": command, "bound": BOUND, "refused": refused, "rows": rows, "hands": found}
+    data = {
+        "command": command,
+        "bound": BOUND,
+        "refused": refused,
+        "rows": rows,
+        "hands": judged_by,
+    }
     write_text(arguments.out, json.dumps(data, indent=1, default=asdict) + "\n")
     print(f"{table('protocol', COLUMNS, rows)}\n\nrefused: {', '.join(refused) or 'none'}")
     print(f"written to {arguments.out}")

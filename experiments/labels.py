@@ -37,8 +37,8 @@ def verdicts(record: Sweep, rng: np.random.Generator) -> dict[str, list[str]]:
     """Verdicts on every segment by kind of exchange: all pairs of a digit, and each joint with a
     random one of another digit.
     """
-    found: dict[str, list[str]] = {kind: [] for kind in KINDS}
-    as_labelled, mcp_and_dip, of_a_digit, of_two_digits = found.values()
+    told: dict[str, list[str]] = {kind: [] for kind in KINDS}
+    as_labelled, mcp_and_dip, of_a_digit, of_two_digits = told.values()
     for rows in record.segments():
         segment = record[rows]
         own = joints_of_servo(int(record.swept[rows[0]]))
@@ -54,7 +54,7 @@ def verdicts(record: Sweep, rng: np.random.Generator) -> dict[str, list[str]]:
         of_two_digits += [
             verdict(exchanged(segment, joint, int(rng.choice(others)))) for joint in own
         ]
-    return found
+    return told
 
 
 def _shares(kind: str, result: str) -> Column:
@@ -93,14 +93,16 @@ def labels(count: int, seed: int, in_physics: int = 0) -> Part:
         records["physics engine, the return filmed"] = [
             record for _, record, *_ in measured_in_physics(in_physics, seed)
         ]
-    found = {}
+    judgements = {}
     for name, sweeps in records.items():
         parts = [
             verdicts(record, np.random.default_rng([seed, i]))
             for i, record in enumerate(progress(sweeps, name))
         ]
-        found[name] = {kind: [result for part in parts for result in part[kind]] for kind in KINDS}
-    rows = rows_of(LABEL_COLUMNS, found)
+        judgements[name] = {
+            kind: [result for part in parts for result in part[kind]] for kind in KINDS
+        }
+    rows = rows_of(LABEL_COLUMNS, judgements)
     return Part(
         f"## Exchanged labels of joints, hidden hands, seed {seed}\n\n{table('hidden', LABEL_COLUMNS, rows)}\n",
         rows,

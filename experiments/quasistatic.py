@@ -272,8 +272,8 @@ def hand_course(
             ],
             axis=1,
         )
-        found = follow(digits, metal, path, len(alike))[::steps]
-        for (_, name), course_of in zip(alike, np.split(found, len(alike), axis=1), strict=True):
+        courses = follow(digits, metal, path, len(alike))[::steps]
+        for (_, name), course_of in zip(alike, np.split(courses, len(alike), axis=1), strict=True):
             course[:, :, [JOINT_INDEX[joint] for joint in HPAC.digits[name].joints]] = (
                 course_of.transpose(1, 0, 2)
             )

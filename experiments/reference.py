@@ -152,12 +152,12 @@ def seeds(count: int, speeds: Mapping[float, float]) -> Part:
         for seconds, share in speeds.items()
         for seed in range(max(round(share * count), 1))
     ]
-    found = [
+    judged = [
         (seconds, accuracy_of_seed(seed, seconds))
         for seed, seconds in progress(jobs, "seeds and speeds")
     ]
     runs = {
-        f"{speed:g}": [run for seconds, run in found if seconds == speed]
+        f"{speed:g}": [run for seconds, run in judged if seconds == speed]
         for speed in sorted(speeds)
     }
     title = (

@@ -287,21 +287,21 @@ def _error(predicted: Array, truth: Array) -> float:
 def rivals(stem: str, count: int, seed: int, samples: tuple[int, ...] = SAMPLES) -> Part:
     """Run one of the `RACES`, with its figure."""
     title, workshop, measure = RACES[stem]
-    found = run_race(workshop, count, seed, samples, measure)
+    race = run_race(workshop, count, seed, samples, measure)
     lines = [f"## Rival calibrations on {title}: mean absolute error of the nine joints [°]", ""]
     lines += [f"{count} hands, seed {seed}; mean and 95 % interval.", ""]
-    body = [(name, *table.values()) for name, table in found.trained.items()]
+    body = [(name, *table.values()) for name, table in race.trained.items()]
     body += [
         (f"{name}, untrained", value, *[""] * (len(samples) - 1))
-        for name, value in found.untrained.items()
+        for name, value in race.untrained.items()
     ]
     lines += [markdown(("method", *(f"{n} points" for n in samples)), body), ""]
     lines += [
-        f"The camera's scale error alone, which no method can observe, leaves {found.camera:.3f}°.",
+        f"The camera's scale error alone, which no method can observe, leaves {race.camera:.3f}°.",
         "",
     ]
     caption = f"{count} hands, {title}, camera with common errors, seed {seed}"
-    return Part("\n".join(lines), found, {stem: race_figure(found)}, caption)
+    return Part("\n".join(lines), race, {stem: race_figure(race)}, caption)
 
 
 def race_figure(race: Race) -> Figure:

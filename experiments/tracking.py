@@ -245,9 +245,9 @@ def tracking(
     jobs = [
         (name, rate, closed) for name in PROFILES for rate in rates_hz for closed in (False, True)
     ]
-    found = [run_tracking(reference, *job, count, seed) for job in progress(jobs, "tracking")]
+    runs = [run_tracking(reference, *job, count, seed) for job in progress(jobs, "tracking")]
     body = []
-    for item in found:
+    for item in runs:
         loop = "camera at 20 Hz" if item.closed else "open"
         body.append(
             (
@@ -262,8 +262,8 @@ def tracking(
     text += markdown(("command", "rate [Hz]", "loop", "lag [ms]", "RMS error [°]"), body) + "\n"
     return Part(
         text,
-        found,
-        {"tracking": tracking_figure(found)},
+        runs,
+        {"tracking": tracking_figure(runs)},
         f"reference hand, {count} runs, seed {seed}",
     )
 

@@ -83,11 +83,11 @@ def object_errors(count: int, seed: int, lens: Lens = TRUE, shown: bool = False)
     for number in progress(range(count), "pictures", shown):
         picture, position, rotation = object_scene(np.random.default_rng([seed, number]))
         try:
-            found = object_place(detect(picture), lens, TOP)
+            place = object_place(detect(picture), lens, TOP)
         except CameraError:
             continue
-        turned = Rotation.from_matrix(found.rotation.T @ rotation).magnitude()
-        errors[number] = 1e3 * np.linalg.norm(found.position - position), np.degrees(turned)
+        turned = Rotation.from_matrix(place.rotation.T @ rotation).magnitude()
+        errors[number] = 1e3 * np.linalg.norm(place.position - position), np.degrees(turned)
     return errors
 
 

@@ -88,14 +88,14 @@ class Worker:
             BenchError: The environment failed.
         """
         line = self._process.stdout.readline()
-        found = (
+        answer = (
             json.loads(line)
             if line
             else {"error": f"its process ended with status {self._process.wait()}"}
         )
-        if "error" in found:
-            raise BenchError(f"an environment of the benchmark failed: {found['error']}")
-        return found
+        if "error" in answer:
+            raise BenchError(f"an environment of the benchmark failed: {answer['error']}")
+        return answer
 
     def ask(self, call: str, **arguments: Any) -> dict[str, float]:
         """Send a call and wait for its result."""
@@ -185,23 +185,25 @@ def measure(
         ]
         pair = [worker(kind="arithmetic") for _ in range(2)]
         turns.append(("alone", pair[0], STEPS))
-        found: dict[Any, list[dict[str, float]]] = defaultdict(list)
+        answers: dict[Any, list[dict[str, float]]] = defaultdict(list)
         for _ in range(rounds):
             for key, each, steps in turns:
-                found[key].append(each.ask("measure", steps=steps))
+                answers[key].append(each.ask("measure", steps=steps))
             for each in pair:
                 each.send("measure", steps=STEPS)
-            found["pair"].append({"per_second": sum(each.answer()["per_second"] for each in pair)})
+            answers["pair"].append(
+                {"per_second": sum(each.answer()["per_second"] for each in pair)}
+            )
         resets = {
             key: each.ask("resets", count=max(RESETS // key[1], 6))["reset_ms"]
             for key, each in hands.items()
         }
 
     def median(key: Any, figure: str) -> float:
-        return statistics.median(row[figure] for row in found[key])
+        return statistics.median(row[figure] for row in answers[key])
 
     def most_per_second(key: Any) -> float:
-        return max(row["per_second"] for row in found[key])
+        return max(row["per_second"] for row in answers[key])
 
     return {
         "engines": {
@@ -236,7 +238,7 @@ def marks(report: Report) -> list[tuple[str, float, str, bool | None]]:
     ]
     if not (rates := _rates(engines, "mujoco")):
         return rows
-    found = engines["mujoco"]
+    batch = engines["mujoco"]
     n = max(rates, key=int)
     about = f"mujoco, n = {n}"
     if slower := _rates(engines, "pybullet"):
@@ -250,11 +252,11 @@ def marks(report: Report) -> list[tuple[str, float, str, bool | None]]:
     name = f"mujoco, two threads over one, arithmetic × {arithmetic:.2f}"
     threads = _at_least(name, report["two_threads"], LEAST_THREADS)
     rows.append(threads if arithmetic >= LEAST_ARITHMETIC else (*threads[:3], None))
-    outside = found["outside_engine"][n]
+    outside = batch["outside_engine"][n]
     rows.append(_at_most(f"{about}, share outside the engine", outside, MOST_OUTSIDE))
     return rows + [
         _at_most(f"mujoco, n = {n}, reset of a world [ms]", spent, MOST_RESET_MS)
-        for n, spent in found["reset_ms"].items()
+        for n, spent in batch["reset_ms"].items()
     ]
 
 
@@ -274,14 +276,14 @@ def lines(report: Report) -> list[str]:
     """The report as text: a single environment first, beside those of other libraries."""
     text = ["steps per second of CPU time, hand holding a can, one thread"]
     engines = report["engines"]
-    numbers = list(dict.fromkeys(n for found in engines.values() for n in found["reset_ms"]))
+    numbers = list(dict.fromkeys(n for answer in engines.values() for n in answer["reset_ms"]))
     for n in numbers:
         text.append("one environment, as gymnasium.make makes it" if n == "1" else f"n = {n}")
-        for name, found in engines.items():
-            engine = f"engine's share {1 - found['outside_engine'][n]:.0%}"
-            reset = f"reset of a world {found['reset_ms'][n]:.2f} ms"
+        for name, answer in engines.items():
+            engine = f"engine's share {1 - answer['outside_engine'][n]:.0%}"
+            reset = f"reset of a world {answer['reset_ms'][n]:.2f} ms"
             text.append(
-                f"  {name:<24} {found['env_steps_per_cpu_second'][n]:6.0f}   {engine}, {reset}"
+                f"  {name:<24} {answer['env_steps_per_cpu_second'][n]:6.0f}   {engine}, {reset}"
             )
         for name, rate in report["peers"].items() if n == "1" else ():
             hz = f"{report['peers_control_hz'][name]:g} commands a second"

@@ -91,13 +91,13 @@ def _errors(
     rows_of: Callable[[DigitSamples], NDArray[np.bool_]],
 ) -> dict[str, FileError]:
     """Errors by joint at some points of the samples; joints without any are left out."""
-    found = {}
+    errors = {}
     for name, (samples, rest) in residuals(by_servo, written).items():
         off = np.degrees(np.abs(rest[rows_of(samples) & ~np.isnan(rest)]))
         if off.size:
             noise = np.degrees(samples.noise[samples.joints.index(name)])
-            found[name] = FileError(float(off.mean()), float(off.max()), float(noise), off.size)
-    return found
+            errors[name] = FileError(float(off.mean()), float(off.max()), float(noise), off.size)
+    return errors
 
 
 def expected_worst_deg(errors: Mapping[str, FileError]) -> float:

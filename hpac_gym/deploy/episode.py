@@ -181,13 +181,13 @@ def _told(observer: Observer, phase: str) -> dict[str, Any]:
 
 def _pose_now(source: Source, last: Pose, oldest: float, closing: bool) -> Pose:
     """The latest pose; once the hand has closed, fingers and arm hide the object."""
-    found = source.latest()
-    if found is None or found[1] > oldest:
+    latest = source.latest()
+    if latest is None or latest[1] > oldest:
         if closing:
-            age = "gone" if found is None else f"{found[1]:.2g} s old, allowed {oldest:g} s"
+            age = "gone" if latest is None else f"{latest[1]:.2g} s old, allowed {oldest:g} s"
             raise PoseError(f"the object's pose is {age}: given up, the hand opens")
         return last
-    return found[0]
+    return latest[0]
 
 
 def checked(given: Array, observer: Observer) -> Array:

@@ -253,7 +253,7 @@ def averaged(
         PoseError: No pose came, or the object was lost.
     """
     begun = clock()
-    while (found := source.latest()) is None:
+    while (latest := source.latest()) is None:
         if clock() - begun > patience:
             fault = getattr(source, "fault", "")
             raise PoseError(
@@ -263,14 +263,18 @@ def averaged(
     poses: list[Pose] = []
     until = clock() + seconds
     while True:
-        found = source.latest()
-        if found is not None and found[1] <= oldest and not any(found[0] is pose for pose in poses):
-            poses.append(found[0])
+        latest = source.latest()
+        if (
+            latest is not None
+            and latest[1] <= oldest
+            and not any(latest[0] is pose for pose in poses)
+        ):
+            poses.append(latest[0])
         if clock() >= until:
             break
         pause(0.02)
     if not poses:
-        raise PoseError(f"the object's pose is {found[1]:.2g} s old, allowed {oldest:g} s")
+        raise PoseError(f"the object's pose is {latest[1]:.2g} s old, allowed {oldest:g} s")
     quaternions = np.array([pose.quaternion for pose in poses])
     # The mean rotation is the first eigenvector of the sum of the outer products.
     _, vectors = np.linalg.eigh(quaternions.T @ quaternions)

@@ -129,14 +129,14 @@ def simulated(head: dict[str, Any], steps: list[dict[str, Any]], engine: str) ->
     place = np.array(steps[0]["position"])
     setup = replace(observer.setup, position=place)
     commanded = []
-    found = []
+    positions = []
     outcome = "running"
     with make_env(head["env_id"], engine=engine) as env:
         env.reset(seed=0, options={"setup": setup})
         bare = env.unwrapped
         over = False
         for row in steps:
-            found.append(bare.state.object_pos[0].copy())
+            positions.append(bare.state.object_pos[0].copy())
             if not over:
                 _, _, over, _, info = env.step(np.array(row["action"], dtype=np.float32))
                 outcome = info["outcome"]
@@ -150,7 +150,7 @@ def simulated(head: dict[str, Any], steps: list[dict[str, Any]], engine: str) ->
         told["hand"],
         told["position"],
         np.array(commanded),
-        np.array(found),
+        np.array(positions),
         outcome,
     )
 

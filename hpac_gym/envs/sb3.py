@@ -128,15 +128,15 @@ class HandVecEnv(VecEnv):
 
 def _info(infos: dict[str, Any], world: int) -> dict[str, Any]:
     """Info of one environment, extracted from arrays with masks."""
-    found = {}
+    own = {}
     for name, values in infos.items():
         mask = infos.get(f"_{name}")
         if mask is None or not mask[world]:
             continue
         if isinstance(values, dict):
-            found[name] = _info(values, world)
+            own[name] = _info(values, world)
         else:
-            found[name] = (
+            own[name] = (
                 values[world].item() if isinstance(values[world], np.generic) else values[world]
             )
-    return found
+    return own

@@ -83,13 +83,13 @@ def with_set(options: Mapping[str, Any], texts: list[str]) -> dict[str, Any]:
     Raises:
         ParameterError: A text is not NAME=VALUE, or its name leads into something else.
     """
-    found = dict(options)
+    chosen = dict(options)
     for text in texts:
         path, equals, value = text.partition("=")
         *parents, name = path.split(".")
         if not equals or not all([*parents, name]):
             raise ParameterError(f"--set '{text}' is not NAME=VALUE, such as config.hold_time=2")
-        place: Any = found
+        place: Any = chosen
         for parent in parents:
             place[parent] = (
                 dict(place[parent])
@@ -103,7 +103,7 @@ def with_set(options: Mapping[str, Any], texts: list[str]) -> dict[str, Any]:
             place[name] = json.loads(value)
         except ValueError:
             place[name] = value
-    return found
+    return chosen
 
 
 def object_of(text: str) -> ObjectSpec | dict[str, Any]:

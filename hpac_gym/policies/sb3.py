@@ -200,13 +200,13 @@ def _statistics(path: Path, _changed: int, policy: Any) -> Any:
     from stable_baselines3.common.vec_env import VecNormalize
 
     try:
-        found = load_from_pkl(path)
-        if not isinstance(found, VecNormalize):
-            raise TypeError(f"it holds a {type(found).__name__}")
+        statistics = load_from_pkl(path)
+        if not isinstance(statistics, VecNormalize):
+            raise TypeError(f"it holds a {type(statistics).__name__}")
         space = policy.observation_space
-        found.normalize_obs(space.sample())
+        statistics.normalize_obs(space.sample())
     except Exception as error:  # a damaged file can make its reader raise anything
         raise PolicyError(
             f"'{path}' holds no VecNormalize statistics of the model: {error!r}".splitlines()[0]
         ) from None
-    return found
+    return statistics
