@@ -9,7 +9,7 @@ from typing import Any
 
 from experiments.results import percent
 from hpac_gym.evaluation import results, splits
-from hpac_gym.evaluation.closures import scale_of, share_found, winning_closures
+from hpac_gym.evaluation.blind import scale_of, share_found, winning_closures
 from hpac_gym.evaluation.statistics import rate_text, wilson_interval
 from hpac_gym.output import markdown
 from hpac_gym.registration import GRASP

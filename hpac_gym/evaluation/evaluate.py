@@ -21,7 +21,7 @@ from tqdm import tqdm
 
 from hpac_gym.command import Formatter, minutes, whole_number
 from hpac_gym.envs import HandEnv
-from hpac_gym.evaluation.closures import scale_of
+from hpac_gym.evaluation.blind import scale_of
 from hpac_gym.evaluation.environment import make_env
 from hpac_gym.evaluation.episodes import Step, has_batch, run_episodes, worlds
 from hpac_gym.evaluation.options import add_env_options, env_options

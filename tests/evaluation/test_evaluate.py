@@ -131,7 +131,7 @@ def test_json_is_one_object_on_standard_output(capsys, tmp_path):
 def test_a_policy_without_a_file_is_evaluated_by_its_name(capsys):
     words = [
         "--policy",
-        "hpac_gym.evaluation.closures:Blind",
+        "hpac_gym.evaluation.blind:Blind",
         "--engine",
         "mujoco",
         "--episodes",

@@ -3,7 +3,7 @@ define.
 
 A blind closure is drawn without observing the object and has no feedback. The floor is the success
 rate of the first one drawn for each held-out seed; the ceiling is the rate at which any of those
-tried succeeds, which requires luck or knowledge of the object. `python -m tools.closures` writes
+tried succeeds, which requires luck or knowledge of the object. `python -m tools.blind_search` writes
 the file."""
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class Closure:
 
 
 BLIND = Closure((0.786, 0.502, 0.372, 0.107, -0.113, 0.438), steps=10.68, lead=5.71)
-"""The most successful of 128 closures on 176 training episodes; `python -m tools.closures --blind`
+"""The most successful of 128 closures on 176 training episodes; `python -m tools.blind_search --blind`
 found it.
 """
 

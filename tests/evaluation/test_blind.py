@@ -8,7 +8,7 @@ import gymnasium
 import numpy as np
 import pytest
 
-from hpac_gym.evaluation.closures import (
+from hpac_gym.evaluation.blind import (
     BLIND,
     COLUMNS,
     Closure,
@@ -22,7 +22,7 @@ from hpac_gym.evaluation.evaluate import table
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.policies.loading import load_policy
 from tests.policies.episodes import actions_of
-from tools.closures import ENV_ID
+from tools.blind_search import ENV_ID
 
 
 def holds(env: gymnasium.Env, closure: Closure, seed: int) -> bool:
@@ -53,7 +53,7 @@ def test_closures_of_the_file_hold_their_seeds_and_those_of_others_hold_fewer():
 def test_the_best_blind_closure_holds_more_than_random_ones_and_is_a_policy():
     """On training seeds that did not choose it."""
     with gymnasium.make(ENV_ID, engine="pybullet") as env:
-        policy = load_policy("hpac_gym.evaluation.closures:Blind", env)
+        policy = load_policy("hpac_gym.evaluation.blind:Blind", env)
         np.testing.assert_array_equal(
             actions_of(policy, np.zeros((3, 6))), [BLIND.action(step) for step in (1, 2, 3)]
         )

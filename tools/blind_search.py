@@ -1,5 +1,5 @@
 """Search a successful closure for every held-out seed of HPAC-Grasp-v0, or the best blind one:
-``python -m tools.closures``.
+``python -m tools.blind_search``.
 
 For each seed, closures are sampled from the seed's own generator until one holds the object or
 `--tries` is reached. Results are written seed by seed, and a second call resumes where the first
@@ -14,15 +14,15 @@ import gymnasium
 import numpy as np
 
 from hpac_gym.command import command_parser, run, whole_number
-from hpac_gym.evaluation import closures
-from hpac_gym.evaluation.closures import COLUMNS, FILE, Blind, Closure, Try, share_found
+from hpac_gym.evaluation import blind
+from hpac_gym.evaluation.blind import COLUMNS, FILE, Blind, Closure, Try, share_found
 from hpac_gym.evaluation.episodes import run_episodes, single
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import rate_text
 from hpac_gym.evaluation.workers import worker_pool
 
 ENV_ID = "HPAC-Grasp-v0"
-TARGET = Path(closures.__file__).parent / "data" / FILE
+TARGET = Path(blind.__file__).parent / "data" / FILE
 ROUNDS = ((128, 4), (32, 12), (8, 40), (2, 120))
 """Remaining closures and additional episodes per closure in each round of the search for a blind
 one.
@@ -100,7 +100,7 @@ def search_blind(work, seeds: range) -> None:
 
 
 def main(argv: list[str] | None = None) -> int:
-    parser = command_parser("tools.closures", __doc__)
+    parser = command_parser("tools.blind_search", __doc__)
     parser.add_argument(
         "--blind", action="store_true", help="search the best blind closure instead"
     )
