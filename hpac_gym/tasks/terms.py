@@ -219,9 +219,10 @@ class Layout:
 
     def start(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
         """Begin episodes with these setups."""
+        index = np.asarray(worlds)
         for term in self._terms:
             if term.fixed:
-                self._fixed[term.name][np.asarray(worlds)] = [term.value(one) for one in setups]
+                self._fixed[term.name][index] = [term.value(setup) for setup in setups]
 
     def see(self, now: Moment) -> NDArray[np.float32]:
         """Observation vectors, shape (n, size), clipped to the bounds (an object out of view)."""
