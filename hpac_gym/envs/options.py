@@ -203,9 +203,8 @@ def setups_of(
 def _setup_of_goal(given: Any, task: Task, hand: Hand) -> GoalSetup:
     term = task.goal_terms[0]
     size = len(JOINTS)
-    low = np.full(size, term.low)
-    high = np.full(size, term.high)
-    goal = as_bounded_array(as_finite_vector(given, size, "goal"), low, high, JOINTS, "goal", "rad")
+    bounds = np.full(size, term.low), np.full(size, term.high)
+    goal = as_bounded_array(as_finite_vector(given, size, "goal"), *bounds, JOINTS, "goal", "rad")
     return GoalSetup(None, hand=hand, goal=goal)
 
 

@@ -101,7 +101,6 @@ class Grasp(Task):
                 OBJECT_RANGES, "an object of one's own has its own size, mass and friction"
             )
         self._ends = self.timetable.ends
-        self._lift_end = self._ends[1]
         self.duration = self._ends[-1]
         self.terms = (*COMMAND_TERMS, *OBJECT_TERMS, *progress_terms(PHASES, self.duration))
         self.reward_terms = self._rewards()
@@ -181,7 +180,7 @@ class Grasp(Task):
         not hold it (`Grip`). It succeeds at the end of the timetable if the object was held through
         the shake in six directions and not dropped on the way down."""
         self.grip.follow(state.object_pos, state.touching.any(axis=1), state.supported, dt)
-        lifted = state.time > self._lift_end - dt / 2
+        lifted = state.time > self._ends[1] - dt / 2
         self.grip.settle(lifted & ~self._lifted)
         self._lifted = lifted
         failed = (self.grip.moved > self.config.drop_distance) | (lifted & ~self.grip.holds)

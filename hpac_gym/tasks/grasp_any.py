@@ -100,26 +100,22 @@ class Closing:
         pushed: growth of the object's displacement as a fraction of `reach`, shape (n,).
     """
 
-    changing = ("gained", "pushed", "_touch", "_distance")
+    changing = ("gained", "pushed", "_last")
 
     def __init__(self, num_worlds: int, config: GraspAnyConfig) -> None:
         self._score = contact_score(config.weights)
         self._reach = config.reach
-        self.gained, self.pushed, self._touch, self._distance = np.zeros((4, num_worlds))
+        self.gained, self.pushed = self._last = np.zeros((2, num_worlds))
 
     def start(self, worlds: NDArray[np.int_]) -> None:
         """Begin episodes."""
-        for values in (self.gained, self.pushed, self._touch, self._distance):
-            values[worlds] = 0.0
+        self._last[:, worlds] = 0.0
 
     def follow(self, touching: NDArray[np.bool_], moved: Array) -> None:
         """Advance by one control step, for `SceneState.touching` and `Grip.moved`."""
-        touch = self._score(touching)
-        distance = np.minimum(moved / self._reach, 1.0)
-        self.gained = touch - self._touch
-        self.pushed = distance - self._distance
-        self._touch = touch
-        self._distance = distance
+        now = np.array([self._score(touching), np.minimum(moved / self._reach, 1.0)])
+        self.gained, self.pushed = now - self._last
+        self._last = now
 
 
 class GraspAny(Task):
