@@ -63,7 +63,7 @@ class Stage:
     def prepare(self, setup: SceneSetup) -> None:
         """Put the setup's hand at rest into the otherwise empty world. It is loaded again every
         `_EPISODES` episodes, because PyBullet retains memory of every removed body and shape until
-        the world is cleared.
+        the world is cleared, and with it up to 0.08 MB of the solver.
         """
         hand = setup.hand
         settings = setup.hand_settings
