@@ -158,12 +158,6 @@ COMMANDS = (
         "evaluate a policy on the sixteen named grasps",
         "hpac_gym.evaluation.grasps:add_arguments",
     ),
-    Command(
-        "measure",
-        "physics",
-        "check every engine and body against the paper and statics",
-        "hpac_gym.physics.conformance:add_arguments",
-    ),
 )
 
 

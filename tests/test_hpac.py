@@ -137,7 +137,6 @@ def test_the_version_is_that_of_the_package():
         (["posture", "nonsense"], "nonsense"),
         (["posture", "list", "--model", "/no/such/hand.toml"], "/no/such/hand.toml"),
         (["calibrate", "/no/such/sweep.csv"], "sweep.csv"),
-        (["physics", "--engine", "pybullet", "--body", "light"], "pybullet with body light"),
         (["grasps", "-n", "0"], "'0' is not a whole number of at least 1"),
         (["record", "--seed", "-1"], "'-1' is not a whole number of at least 0"),
         (["evaluate", "--policy", "scripted", "--object", "cylinder:20,50"], "0.001 to 0.2 m"),

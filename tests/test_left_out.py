@@ -29,6 +29,9 @@ def collected(*paths: str, without: bool) -> tuple[list[str], list[str]]:
     return [line for line in lines[:section] if "::" in line], lines[section:]
 
 
+PUSHES = "test_the_wrist_pushes_against_an_obstacle_with_its_force"
+
+
 @pytest.mark.pybullet
 def test_what_needs_pybullet_is_named_and_counted():
     with_it, nothing = collected("tests/physics", without=False)
@@ -41,7 +44,7 @@ def test_what_needs_pybullet_is_named_and_counted():
         line for line in said if "::" in line
     }
     assert without_it
-    assert "tests/physics/test_conformance.py::test_marks_are_met[mujoco-twin-3]" in without_it
-    assert "tests/physics/test_conformance.py::test_marks_are_met[pybullet-twin-3]" in said
+    assert f"tests/physics/test_engine.py::{PUSHES}[100.0-mujoco]" in without_it
+    assert f"tests/physics/test_engine.py::{PUSHES}[100.0-pybullet]" in said
     tests = len([line for line in said if "::" in line])
     assert f"{len(files)} files and {tests} tests left out" in said

@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from experiments.conformance import free_space, stiffest_mode
 from hpac_gym.body.geometry import HPAC_GEOMETRY
 from hpac_gym.body.hands import SERVO_ZERO, SIZES, HandVariant, hand_set
 from hpac_gym.errors import ParameterError
@@ -21,7 +22,6 @@ from hpac_gym.model import (
     servo_from_synergy,
     synergy_from_servo,
 )
-from hpac_gym.physics.conformance import free_space, stiffest_mode
 from hpac_gym.physics.engine import SceneSetup, SceneState
 from hpac_gym.physics.mechanics import mass_matrix
 from hpac_gym.physics.mujoco.engine import MuJoCoEngine

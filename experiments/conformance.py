@@ -1,4 +1,5 @@
-"""Measures an engine's hand against the paper and against statics: ``hpac physics``.
+"""Measures an engine's hand against the paper and against statics: ``python -m
+experiments.conformance``.
 
 One suite for every engine and body. It compares an engine's output (`SceneState`, `Contacts`) with
 the model's equations, the tendon law in NumPy and forward kinematics from the geometry; no engine
@@ -7,6 +8,7 @@ is its own reference."""
 import argparse
 import importlib.util
 import json
+import sys
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -15,7 +17,7 @@ import numpy as np
 
 from hpac_gym.body.geometry import HPAC_GEOMETRY, Geometry, link_poses
 from hpac_gym.body.objects import ObjectSpec
-from hpac_gym.command import whole_number
+from hpac_gym.command import run_module, whole_number
 from hpac_gym.errors import ParameterError
 from hpac_gym.model import (
     FINGERS,
@@ -265,7 +267,7 @@ def _hands(make: Factory, n: int, setup: SceneSetup, world: WorldSettings) -> Si
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of `hpac physics`."""
+    """The command's arguments."""
     parser.add_argument("--engine", choices=ENGINES, help="this engine alone")
     parser.add_argument("--body", choices=tuple(BODIES), help="this body alone")
     parser.add_argument(
@@ -300,18 +302,18 @@ def run(arguments: argparse.Namespace) -> int:
         )
     measured = {}
     for engine, body in wanted:
-        found = figures(partial(make_engine, engine), body, world)
+        rows = figures(partial(make_engine, engine), body, world)
         if engine == "pybullet":
-            found.append(
+            rows.append(
                 Figure("stiffest tendon: omega dt", stiffest_mode(BODIES[body], world), 1.5, "1")
             )
-        measured[f"{engine}/{body}"] = found
+        measured[f"{engine}/{body}"] = rows
     if arguments.json:
-        found = {
+        told = {
             name: [{**asdict(figure), "holds": figure.holds} for figure in rows]
             for name, rows in measured.items()
         }
-        print(json.dumps(found, indent=2))
+        print(json.dumps(told, indent=2))
     else:
         for name, rows in measured.items():
             print(name)
@@ -321,3 +323,7 @@ def run(arguments: argparse.Namespace) -> int:
                     f"  {figure.name:<62} {figure.value:9.2g} {figure.unit:<5} mark {figure.limit:g}{missed}"
                 )
     return 0 if all(figure.holds for rows in measured.values() for figure in rows) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(run_module("experiments.conformance", __doc__, add_arguments))
