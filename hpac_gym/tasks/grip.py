@@ -65,7 +65,7 @@ class Grip:
         """
         carries = (touched | (self.carrying & self._touched)) & ~supported
         begins = carries & ~self.carrying
-        if np.count_nonzero(begins):
+        if True in begins.tolist():  # in a third of the time of `any`
             self._origins[0, begins] = object_pos[begins]
         self._now = object_pos
         self._touched = touched
@@ -77,7 +77,7 @@ class Grip:
     def settle(self, where: NDArray[np.bool_]) -> None:
         """Set the slip of carried objects to zero: motion while the grasp forms is not slip."""
         where = where & self.carrying
-        if np.count_nonzero(where):
+        if True in where.tolist():
             self._origins[0, where] = self._now[where]
             self.slip[where] = 0.0
 

@@ -199,10 +199,10 @@ def contact_score(weights: Weights) -> Callable[[NDArray[np.bool_]], Array]:
 
 def paid_where(where: NDArray[np.bool_], value: Callable[[], Array]) -> Array:
     """The value in some worlds and 0 in the others, shape (n,); computed only if one is paid."""
-    count = np.count_nonzero(where)
-    if count == 0:
+    paid = where.tolist()  # a list is asked in a third of the time of `any` and `all`
+    if True not in paid:
         return np.zeros(len(where))
-    return value() if count == len(where) else np.where(where, value(), 0.0)
+    return np.where(where, value(), 0.0) if False in paid else value()
 
 
 def judged(failed: NDArray[np.bool_], over: NDArray[np.bool_]) -> NDArray[np.int_]:
