@@ -207,8 +207,7 @@ class Judged:
     changing = (
         "kept",
         "missed",
-        "_touch",
-        "_never",
+        "_asked",
         "_counts",
         "_rules",
         "_seen",
@@ -221,21 +220,18 @@ class Judged:
         self.missed, self._rules, self._seen = (
             np.full(num_worlds, "", dtype=object) for _ in range(3)
         )
-        self._touch, self._never = np.zeros((2, num_worlds, len(PARTS)), dtype=bool)
+        self._asked = np.zeros((num_worlds, len(PARTS)))
         self._counts = np.zeros((num_worlds, 2), dtype=int)
         self._start, self._hand = np.zeros((2, num_worlds, 3, 3))
 
     def start(self, world: int, rule: Rule, setup: SceneSetup) -> None:
         """Begin an episode of a world."""
-        parts = np.array(rule.asked_parts)
-        self._touch[world] = parts > 0
-        self._never[world] = parts < 0
+        self._asked[world] = rule.asked_parts
         self._counts[world] = (rule.fingers, rule.digits)
         self._rules[world] = rule
         self._seen[world] = ()
         self._hand[world] = setup.hand_rotation
-        turned = matrix_from_quaternion(setup.object_turn[0])
-        self._start[world] = setup.hand_rotation.T @ turned
+        self._start[world] = setup.hand_rotation.T @ matrix_from_quaternion(setup.object_turn[0])
         self.missed[world] = NOTHING
         self.kept[world] = 0.0
 
@@ -243,12 +239,13 @@ class Judged:
         """Fraction of the required parts that touch, shape (n,)."""
         fingers = touching[:, FINGER_PARTS].sum(axis=1)
         counts = np.stack([fingers, fingers + touching[:, THUMB_PART]], axis=1)
-        found = (touching & self._touch).sum(axis=1) + np.minimum(counts, self._counts).sum(axis=1)
-        return found / np.maximum(self._touch.sum(axis=1) + self._counts.sum(axis=1), 1)
+        touch = self._asked > 0
+        found = (touching & touch).sum(axis=1) + np.minimum(counts, self._counts).sum(axis=1)
+        return found / np.maximum(touch.sum(axis=1) + self._counts.sum(axis=1), 1)
 
     def forbidden(self, touching: NDArray[np.bool_]) -> NDArray[np.int_]:
         """Number of parts that touch and must not, shape (n,)."""
-        return (touching & self._never).sum(axis=1)
+        return (touching & (self._asked < 0)).sum(axis=1)
 
     def follow(
         self,
