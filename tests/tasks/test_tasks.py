@@ -3,19 +3,30 @@ what its row says.
 """
 
 from dataclasses import fields, replace
+from itertools import product
 
 import numpy as np
 import pytest
 
-from hpac_gym.model import HPAC, elastic_joints_from_servo
+from hpac_gym.model import FINGERS, HPAC, elastic_joints_from_servo
 from hpac_gym.physics.engine import PARTS, Contacts, SceneState
 from hpac_gym.tasks.cameras import CameraNoise
 from hpac_gym.tasks.grasp import Grasp, GraspByName, GraspConfig
 from hpac_gym.tasks.grasp_any import GraspAny, GraspAnyConfig
+from hpac_gym.tasks.grasp_setups import GraspWeights
 from hpac_gym.tasks.grasp_types import GraspByType, GraspTypeConfig
 from hpac_gym.tasks.pick_place import PickPlace, PickPlaceConfig
 from hpac_gym.tasks.posture import Posture
-from hpac_gym.tasks.task import CONTROL_HZ, FAILURE, OUTCOMES, RUNNING, SUCCESS
+from hpac_gym.tasks.task import (
+    CONTROL_HZ,
+    FAILURE,
+    OUTCOMES,
+    RUNNING,
+    SUCCESS,
+    contact_score,
+    judged,
+    paid_where,
+)
 from hpac_gym.tasks.terms import Layout, Moment, Term
 
 
@@ -278,6 +289,31 @@ def test_what_the_dense_reward_pays_and_costs_in_numbers():
     np.testing.assert_allclose(paid["effort"], -0.01)
     np.testing.assert_allclose(paid["outcome"], [0.0, -5.0, 0.0, 0.0])
     assert OUTCOMES[outcome[1]] == "failure"
+
+
+def test_every_set_of_touching_parts_has_its_score():
+    weights = GraspWeights(thumb=1.0, finger=0.1, opposed=10.0)
+    sets = np.array(list(product([False, True], repeat=len(PARTS))))
+    _, thumb, *fingers = sets[:, [PARTS.index(name) for name in ("palm", "thumb", *FINGERS)]].T
+    count = np.sum(fingers, axis=0)
+    expected = 1.0 * thumb + 0.1 * count + 10.0 * (thumb & (count > 0))
+    np.testing.assert_array_equal(contact_score(weights)(sets), expected)
+
+
+def test_what_no_world_is_paid_is_not_computed():
+    def unasked():
+        raise AssertionError("computed")
+
+    np.testing.assert_array_equal(paid_where(np.zeros(3, bool), unasked), np.zeros(3))
+    values = np.array([1.0, -2.0, 3.0])
+    for where in ([True, True, True], [True, False, True]):
+        paid = paid_where(np.array(where), lambda: values)
+        np.testing.assert_array_equal(paid, np.where(where, values, 0.0))
+
+
+def test_a_failed_episode_is_no_success_although_it_is_over():
+    failed, over = np.array(list(product([False, True], repeat=2))).T
+    np.testing.assert_array_equal(judged(failed, over), [RUNNING, SUCCESS, FAILURE, FAILURE])
 
 
 def test_an_observation_stays_within_its_bounds_and_keeps_the_rest_as_it_is():
