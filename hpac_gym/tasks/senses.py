@@ -172,6 +172,7 @@ class Senses:
             angles (n, 6) [rad], at the last reading.
         """
         rows = np.fromiter(worlds, int)
+        rows.sort()
         seen = self._camera.look(state, rows)
         first = self._count[rows] == 0
         every = len(rows) == len(self._count)  # without copies of what each world has

@@ -167,6 +167,19 @@ def test_the_first_look_is_taken_before_the_hand_comes():
     np.testing.assert_allclose(seen["position"][0], setup.position)
 
 
+def test_the_order_in_which_worlds_are_named_is_none_of_their_looks():
+    behind = ball(0.03, 0.085)
+    for order in ([0, 1], [1, 0]):
+        eyes = Senses(2, CameraNoise(0, 0, 0), FRONT, CENTRE)
+        state = SceneState.empty(2)
+        for world, angles in enumerate((OPEN, FIST)):
+            eyes.start(world, behind, 1.0, np.random.default_rng(0))
+            state.joint_pos[world] = angles
+            state.object_pos[world] = behind.position
+            state.object_rotation[world] = behind.hand_rotation.T
+        np.testing.assert_array_equal(eyes.look(state, order)["visible"], [1, 0])
+
+
 def test_points_are_of_the_camera_s_side():
     setup = ball(0.06)
     eyes = senses(setup)
