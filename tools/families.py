@@ -345,3 +345,29 @@ NEW_FAMILIES: dict[str, tuple[Family, tuple[float, float]]] = {
     "remote": (remote, (0.4, 0.8)),
 }
 """Families that only the held-out set contains."""
+
+
+def _spread(rng: np.random.Generator, low: float, high: float) -> float:
+    """A number whose logarithm is uniform."""
+    return math.exp(rng.uniform(math.log(low), math.log(high)))
+
+
+def plain_cylinder(rng: np.random.Generator) -> list[Part]:
+    return [cylinder(_spread(rng, 6, 41), _spread(rng, 12, 300), _spread(rng, 0.05, 8))]
+
+
+def plain_block(rng: np.random.Generator) -> list[Part]:
+    x, y, z = (_spread(rng, 10, 220) for _ in range(3))
+    return [box(x, y, z, _spread(rng, 0.05, 8))]
+
+
+def plain_ball(rng: np.random.Generator) -> list[Part]:
+    return [ball(_spread(rng, 10, 41), _spread(rng, 0.05, 3))]
+
+
+PLAIN: dict[str, tuple[Family, tuple[float, float]]] = {
+    "plain cylinder": (plain_cylinder, (0.4, 0.8)),
+    "plain block": (plain_block, (0.4, 0.8)),
+    "plain ball": (plain_ball, (0.4, 0.9)),
+}
+"""Plain solids as thin, tall, flat and heavy as things that people hold: pens, cans, cartons, nuts."""

@@ -117,7 +117,11 @@ def main(argv: list[str] | None = None) -> int:
     )
     given = parser.parse_args(argv)
     names = tuple(given.names) or ("",)
-    objects = [entry for models in split_models().values() for entry in models.values()]
+    objects = list(
+        {
+            name: entry for models in split_models().values() for name, entry in models.items()
+        }.values()
+    )
     entries = tomllib.loads(FILE.read_text(encoding="utf-8")) if FILE.exists() else {}
     wanted = [entry for entry in objects if entry[0].name.startswith(names)]
     if not given.recheck:

@@ -1,5 +1,5 @@
-"""Object sets for tasks with arbitrary objects: 200 procedural training objects, 50 held-out ones,
-and real ones.
+"""Object sets for tasks with arbitrary objects: 200 procedural training objects, with 200 plain solids
+beside them or not, 50 held-out ones, and real ones.
 
 Every object has its stable poses. The procedural objects are drawn by ``tools/object_families.py``;
 the poses were found by simulation (``tools/resting_poses.py``) and are stored as data."""
@@ -22,9 +22,9 @@ from hpac_gym.body.object_models import (
 )
 from hpac_gym.errors import ParameterError
 
-SPLITS = ("train", "test", "real")
-"""Procedural training objects, held-out procedural objects, and real objects, which are never used
-in training.
+SPLITS = ("train", "wide", "test", "real")
+"""Procedural training objects, the same and plain solids, held-out procedural objects, and real
+objects; the last two are never used in training.
 """
 SPAN = 0.082
 """Largest object width that the hand is asked to span [m]: that of the puck's large variant in the
@@ -104,17 +104,15 @@ def split_models() -> dict[str, dict[str, tuple[ObjectModel, float]]]:
         for name, model in load_object_models().items()
         if name in friction
     }
+    made = {name: _entry(name, entry, FIELDS) for name, entry in drawn.items()}
+
+    def named_as(*kinds: str) -> dict[str, tuple[ObjectModel, float]]:
+        return {name: entry for name, entry in made.items() if name.startswith(kinds)}
+
     return {
-        "train": {
-            name: _entry(name, entry, FIELDS)
-            for name, entry in drawn.items()
-            if name.startswith("train")
-        },
-        "test": {
-            name: _entry(name, entry, FIELDS)
-            for name, entry in drawn.items()
-            if name.startswith("test")
-        },
+        "train": named_as("train"),
+        "wide": named_as("train", "plain"),
+        "test": named_as("test"),
         "real": named
         | {name: _entry(name, entry, FIELDS | SOURCE_FIELDS) for name, entry in real.items()},
     }

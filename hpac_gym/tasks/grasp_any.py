@@ -72,7 +72,7 @@ SEEN_TERM = Term(
     lambda now: column(now.seen["visible"]),
 )
 OBJECTS_OPTION = Option(
-    "split from which objects are drawn; the other two must not be used in training", SPLITS
+    "split from which objects are drawn; the last two must not be used in training", SPLITS
 )
 WRIST_OPTION = Option(
     "*script* leaves the wrist where the sampler put it; *free* lets the first action of an "

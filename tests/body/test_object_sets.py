@@ -21,27 +21,32 @@ from hpac_gym.errors import ParameterError
 from hpac_gym.physics.engine import matrix_from_quaternion
 from hpac_gym.tasks.grasp_data import GRASPS
 from tools.families import FAMILIES, NEW_FAMILIES
-from tools.object_families import MAX_MASS, MIN_DIFFERENCE, MIN_MASS
+from tools.object_families import MAX_MASS, MAX_PLAIN_MASS, MIN_DIFFERENCE, MIN_MASS
 
 SETS = {split: object_set(split) for split in SPLITS}
-EVERY = [thing for things in SETS.values() for thing in things]
+EVERY = list({thing.name: thing for things in SETS.values() for thing in things}.values())
+PLAIN = SETS["wide"][200:]
+TURNED = ("plain_093", "plain_110")
+"""Blocks of which rounding chose the other side; the sampler turns them."""
 DRAWN = [*SETS["train"], *SETS["test"]]
 
 
-def test_there_are_200_to_train_on_50_held_out_and_52_real_ones():
+def test_there_are_200_to_train_on_or_400_50_held_out_and_52_real_ones():
     assert {split: len(things) for split, things in SETS.items()} == {
         "train": 200,
+        "wide": 400,
         "test": 50,
         "real": 52,
     }
-    assert len({thing.name for thing in EVERY}) == 302
+    assert len(EVERY) == 502
     assert [thing.name for thing in SETS["train"][:2]] == ["train_000", "train_001"]
+    assert SETS["wide"][:200] == SETS["train"]
     assert object_set("test") is object_set("test")
 
 
 @pytest.mark.parametrize("split", ["tests", "", None, 3])
 def test_an_unknown_split_names_the_splits(split):
-    with pytest.raises(ParameterError, match="is not one of train, test, real"):
+    with pytest.raises(ParameterError, match="is not one of train, wide, test, real"):
         object_set(split)
 
 
@@ -50,6 +55,8 @@ def test_no_held_out_object_is_like_a_training_object():
         min(difference(held.model, known.model) for known in SETS["train"]) for held in SETS["test"]
     ]
     assert min(nearest) > MIN_DIFFERENCE == 0.1
+    held_out = [*SETS["test"], *SETS["real"]]
+    assert min(difference(a.model, b.model) for a in held_out for b in PLAIN) > MIN_DIFFERENCE
     known = SETS["train"][0].model
     assert (
         difference(known, replace(known, size=tuple(1.04 * side for side in known.size)))
@@ -81,6 +88,7 @@ def test_objects_are_bodies_that_there_can_be():
         assert (model.center_of_mass < high).all(), name
         np.testing.assert_allclose(high - low, model.size, rtol=0.05, err_msg=name)
     assert all(MIN_MASS <= thing.model.mass <= MAX_MASS for thing in DRAWN)
+    assert all(MIN_MASS <= thing.model.mass <= MAX_PLAIN_MASS for thing in PLAIN)
     assert all(0.4 <= thing.friction <= 1.0 for thing in EVERY)
 
 
@@ -98,7 +106,8 @@ def fits(thing: RestingObject) -> bool:
 
 
 def test_the_hand_spans_every_object_in_at_least_one_of_its_poses():
-    assert [thing.name for thing in EVERY if not fits(thing)] == []
+    wide = [thing.name for thing in EVERY if not fits(thing)]
+    assert wide == ["plain_101", "plain_169"]  # which lie on their larger sides, and are not drawn
     model = load_object_models()["quoit"]
     quoit = RestingObject(model, 0.7, (resting_pose(model, (0, 0, 0, 1), 1.0),), False)
     assert not fits(quoit)
@@ -112,7 +121,8 @@ def test_a_pose_lies_on_its_lowest_point():
             low, high = thing.model.turned_bounds(matrix_from_quaternion(pose.quaternion))
             np.testing.assert_allclose(high - low, pose.size, atol=1e-9)
             assert pose.height == pytest.approx(-low[2], abs=1e-9)
-            assert pose.size[0] > pose.size[1] - 5e-4, thing.name
+            if thing.name not in TURNED:
+                assert pose.size[0] > pose.size[1] - 5e-4, thing.name
 
 
 def test_solids_reach_as_far_as_their_points_do():
