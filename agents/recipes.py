@@ -256,8 +256,9 @@ RECIPES: Mapping[str, Recipe] = {
     ),
     "grasp-any-wrist": Recipe(
         env_id=GRASP_ANY,
-        options={"wrist": "free", "config": {"mass": [0.7, 1.8]}},
-        env_steps=1_500_000,
+        options={"objects": "wide", "wrist": "free", "config": {"mass": [0.7, 1.8]}},
+        episodes=150_000,
+        env_steps=6_000_000,
         random_episodes=2_500,
         sizes=(0.5, 1.8),
     ),

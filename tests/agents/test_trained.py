@@ -10,7 +10,7 @@ from hpac_gym.policies.loading import needed_options
 from hpac_gym.policies.policy_file import SHIPPED
 
 FOLDER = Path(__file__).resolve().parents[2] / "agents" / "trained"
-SEEDS = {"grasp-any-wrist": 1}
+SEEDS = {"grasp-any-wrist": 2}
 """Of the trainings; 0 for the others."""
 
 
@@ -25,7 +25,7 @@ def path_of(name):
         ("grasp-best", "HPAC-Grasp-v0", 300_000),
         ("grasp-robust", "HPAC-Grasp-v0", 240_000),
         ("grasp-any", "HPAC-GraspAny-v1", 174_852),
-        ("grasp-any-wrist", "HPAC-GraspAny-v1", 27_050),
+        ("grasp-any-wrist", "HPAC-GraspAny-v1", 105_557),
         ("grasp-any-best", "HPAC-GraspAny-v1", 448_622),
         ("grasp-type", "HPAC-GraspType-v0", 3_000),
         ("gentle", "HPAC-Gentle-v0", 1_024),

@@ -302,7 +302,7 @@ PRESET = r"randomize must be a preset \(nominal, .*; got "
             {"config": {"duration": 3.0}},
             r"config duration = 3.0 s: give .*max_episode_steps",
         ),
-        (GRASP_ANY, {"objects": "reel"}, "objects 'reel' is not one of train, test, real"),
+        (GRASP_ANY, {"objects": "reel"}, "objects 'reel' is not one of train, wide, test, real"),
         (GRASP_ANY, {"wrist": "loose"}, "wrist 'loose' is not one of script, free"),
         (GRASP_ANY, {"hands": "left"}, "hands 'left' is not one of nominal, train, test"),
         (GRASP_ANY, {"hands": "test", "hand": replace(HPAC, name="mine")}, "give either"),
