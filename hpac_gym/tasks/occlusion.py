@@ -207,7 +207,7 @@ def dots(first: Array, second: Array) -> Array:
     return (first * second) @ np.ones(3)
 
 
-@lru_cache(maxsize=256)
+@lru_cache(maxsize=1024)
 def surface(name: str, solids: tuple[Solid, ...], count: int) -> tuple[Array, Array]:
     """Uniformly random points of an object's surface [m], and their outward normals, shapes (count,
     3), read-only.

@@ -7,6 +7,7 @@ from hpac_gym.body.geometry import HPAC_GEOMETRY as GEOMETRY
 from hpac_gym.body.geometry import link_poses
 from hpac_gym.body.hands import hand_set
 from hpac_gym.body.object_models import load_object_models
+from hpac_gym.body.object_sets import object_set
 from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.body.solids import Solid
 from hpac_gym.model import HPAC, JOINTS
@@ -104,6 +105,12 @@ def test_fewer_points_of_a_surface_are_the_first_ones():
     few = surface("spray_can", model.solids, 48)
     for some, more in zip(few, surface("spray_can", model.solids, 160), strict=True):
         np.testing.assert_array_equal(some, more[:48])
+
+
+def test_points_of_all_objects_of_a_split_are_kept():
+    """Drawing them anew cost a tenth of a training with more objects than were kept."""
+    splits = map(object_set, ("train", "wide", "test", "real"))
+    assert max(map(len, splits)) <= surface.cache_parameters()["maxsize"]
 
 
 def test_no_point_of_a_surface_is_inside_another_solid():

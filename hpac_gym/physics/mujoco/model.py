@@ -69,7 +69,7 @@ class Layout:
         )
 
 
-@cache
+@lru_cache(maxsize=64)
 def _number_of_boxes(support: Support | None) -> int:
     return len((support or POST).boxes(1.0))
 
