@@ -300,7 +300,10 @@ class Oracle(Findings):
         if not new:
             return
         self.tried["start"] += 1
-        if len(new) > 1 or now_us - self._started_us < START_GAP_US - self._period_us:
+        # One that lost its pulses in the meantime is no longer on its way.
+        others = any(angle is not None for angle in self._angles)
+        soon = now_us - self._started_us < START_GAP_US - self._period_us
+        if len(new) > 1 or (others and soon):
             self.complain(
                 "start",
                 now_us,
