@@ -73,7 +73,7 @@ class Worker:
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
             text=True,
-            env=os.environ | threads,
+            env=os.environ | threads | {"PYTHONPATH": str(WORKER.parents[1])},
         )
         self.ask("make", **make)
 
