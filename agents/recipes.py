@@ -260,6 +260,7 @@ RECIPES: Mapping[str, Recipe] = {
         episodes=150_000,
         env_steps=6_000_000,
         random_episodes=2_500,
+        updates_per_episode=0.5,
         sizes=(0.5, 1.8),
     ),
     "grasp-type": Recipe(

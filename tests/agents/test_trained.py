@@ -25,7 +25,7 @@ def path_of(name):
         ("grasp-best", "HPAC-Grasp-v0", 300_000),
         ("grasp-robust", "HPAC-Grasp-v0", 240_000),
         ("grasp-any", "HPAC-GraspAny-v1", 174_852),
-        ("grasp-any-wrist", "HPAC-GraspAny-v1", 105_557),
+        ("grasp-any-wrist", "HPAC-GraspAny-v1", 105_143),
         ("grasp-any-best", "HPAC-GraspAny-v1", 448_622),
         ("grasp-type", "HPAC-GraspType-v0", 3_000),
         ("gentle", "HPAC-Gentle-v0", 1_024),
