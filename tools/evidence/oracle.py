@@ -250,7 +250,7 @@ class Oracle(Findings):
         self._angles: list[float | None] = [None] * len(SERVOS)
         self._pose = list(self._rest)
         self._over = [0.0] * len(SERVOS)
-        self._started_us = -START_GAP_US
+        self._started_us = 0
 
     def pulses(self, now_us: int, widths: list[int] | np.ndarray) -> None:
         """Check the six pulse widths [ns] after a tick; 0 means no pulses."""
