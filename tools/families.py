@@ -76,9 +76,26 @@ def ring(
     }
 
 
+def hollow(radius: float, share: float, length: float, density: float) -> Part:
+    """A tube whose wall is a share of its radius."""
+    return ring(radius, share * radius, length, density)
+
+
 def drawn(rng: np.random.Generator, *ranges: tuple[float, float]) -> list[float]:
     """A number within each of these ranges, in their order."""
     return [rng.uniform(*bounds) for bounds in ranges]
+
+
+def spread(rng: np.random.Generator, *ranges: tuple[float, float]) -> list[float]:
+    """The same, with uniform logarithms."""
+    return [math.exp(rng.uniform(math.log(low), math.log(high))) for low, high in ranges]
+
+
+def single(
+    make: Callable[..., Part], *ranges: tuple[float, float], draw: Callable = drawn, **how: str
+) -> Family:
+    """A family of single solids, with ranges of their lengths and density."""
+    return lambda rng: [make(*draw(rng, *ranges), **how)]
 
 
 def stack(*parts: tuple[Callable[..., Part], tuple[float, ...], float]) -> list[Part]:
@@ -107,16 +124,6 @@ def jar(rng: np.random.Generator) -> list[Part]:
     radius = rng.uniform(20, 33)
     lid = (cylinder, (radius + rng.uniform(-3, 2), rng.uniform(9, 18)), 0.8)
     return stack((cylinder, (radius, rng.uniform(40, 95)), rng.uniform(0.4, 1.3)), lid)
-
-
-def can(rng: np.random.Generator) -> list[Part]:
-    return [cylinder(rng.uniform(24, 34.5), rng.uniform(60, 135), rng.uniform(0.1, 1.05))]
-
-
-def carton(rng: np.random.Generator) -> list[Part]:
-    return [
-        box(rng.uniform(35, 110), rng.uniform(22, 62), rng.uniform(60, 170), rng.uniform(0.15, 0.8))
-    ]
 
 
 def mug(rng: np.random.Generator) -> list[Part]:
@@ -162,10 +169,6 @@ def fruit(rng: np.random.Generator) -> list[Part]:
     return [ball(radius, density), *(ball(ends, density, (0, 0, z)) for z in (-place, place))]
 
 
-def sports_ball(rng: np.random.Generator) -> list[Part]:
-    return [ball(rng.uniform(18, 34.5), rng.uniform(0.08, 1.2))]
-
-
 def banana(rng: np.random.Generator) -> list[Part]:
     bend, length, thick, density = drawn(rng, (90, 160), (20, 30), (22, 36), (0.4, 1.0))
     turns = [(index - 2) * length / bend for index in range(5)]
@@ -183,23 +186,6 @@ def banana(rng: np.random.Generator) -> list[Part]:
     ]
 
 
-def bar(rng: np.random.Generator) -> list[Part]:
-    return [cylinder(rng.uniform(7, 20), rng.uniform(90, 240), rng.uniform(0.3, 1.4), axis="x")]
-
-
-def square_bar(rng: np.random.Generator) -> list[Part]:
-    return [
-        box(rng.uniform(90, 240), rng.uniform(14, 40), rng.uniform(14, 40), rng.uniform(0.3, 1.2))
-    ]
-
-
-def tube(rng: np.random.Generator) -> list[Part]:
-    radius = rng.uniform(13, 32)
-    return [
-        ring(radius, rng.uniform(0.08, 0.25) * radius, rng.uniform(60, 200), rng.uniform(0.7, 1.4))
-    ]
-
-
 def knob(rng: np.random.Generator) -> list[Part]:
     head = (cylinder, (rng.uniform(18, 33), rng.uniform(12, 28)), rng.uniform(0.6, 2.7))
     return stack((cylinder, (rng.uniform(8, 14), rng.uniform(15, 40)), rng.uniform(0.8, 2.7)), head)
@@ -213,17 +199,6 @@ def brush(rng: np.random.Generator) -> list[Part]:
         box(handle, rng.uniform(0.3, 0.6) * width + 6, 1.2 * thick, wood, (-handle / 2, 0, 0)),
         box(head, width, thick, wood, (head / 2, 0, 0)),
         box(0.9 * head, 0.85 * width, hair, 0.25, (head / 2, 0, -(thick + hair) / 2)),
-    ]
-
-
-def disc(rng: np.random.Generator) -> list[Part]:
-    return [cylinder(rng.uniform(20, 34.5), rng.uniform(14, 32), rng.uniform(0.5, 2.7))]
-
-
-def roll(rng: np.random.Generator) -> list[Part]:
-    radius = rng.uniform(24, 34.5)
-    return [
-        ring(radius, rng.uniform(0.3, 0.55) * radius, rng.uniform(15, 50), rng.uniform(0.5, 1.4))
     ]
 
 
@@ -314,22 +289,22 @@ def toy_truck(rng: np.random.Generator) -> list[Part]:
 FAMILIES: dict[str, tuple[Family, tuple[float, float]]] = {
     "bottle": (bottle, (0.4, 0.8)),
     "jar": (jar, (0.4, 0.7)),
-    "can": (can, (0.4, 0.7)),
-    "carton": (carton, (0.45, 0.7)),
+    "can": (single(cylinder, (24, 34.5), (60, 135), (0.1, 1.05)), (0.4, 0.7)),
+    "carton": (single(box, (35, 110), (22, 62), (60, 170), (0.15, 0.8)), (0.45, 0.7)),
     "mug": (mug, (0.4, 0.7)),
     "cup": (cup, (0.4, 0.8)),
     "hammer": (hammer, (0.5, 0.9)),
     "screwdriver": (screwdriver, (0.5, 1.0)),
     "fruit": (fruit, (0.4, 0.8)),
-    "ball": (sports_ball, (0.5, 1.0)),
+    "ball": (single(ball, (18, 34.5), (0.08, 1.2)), (0.5, 1.0)),
     "banana": (banana, (0.4, 0.8)),
-    "bar": (bar, (0.4, 0.9)),
-    "square bar": (square_bar, (0.4, 0.9)),
-    "tube": (tube, (0.4, 0.8)),
+    "bar": (single(cylinder, (7, 20), (90, 240), (0.3, 1.4), axis="x"), (0.4, 0.9)),
+    "square bar": (single(box, (90, 240), (14, 40), (14, 40), (0.3, 1.2)), (0.4, 0.9)),
+    "tube": (single(hollow, (13, 32), (0.08, 0.25), (60, 200), (0.7, 1.4)), (0.4, 0.8)),
     "knob": (knob, (0.4, 0.9)),
     "brush": (brush, (0.5, 0.8)),
-    "disc": (disc, (0.5, 1.0)),
-    "roll": (roll, (0.5, 0.9)),
+    "disc": (single(cylinder, (20, 34.5), (14, 32), (0.5, 2.7)), (0.5, 1.0)),
+    "roll": (single(hollow, (24, 34.5), (0.3, 0.55), (15, 50), (0.5, 1.4)), (0.5, 0.9)),
     "flashlight": (flashlight, (0.4, 0.8)),
     "spanner": (spanner, (0.4, 0.6)),
 }
@@ -347,27 +322,9 @@ NEW_FAMILIES: dict[str, tuple[Family, tuple[float, float]]] = {
 """Families that only the held-out set contains."""
 
 
-def _spread(rng: np.random.Generator, low: float, high: float) -> float:
-    """A number whose logarithm is uniform."""
-    return math.exp(rng.uniform(math.log(low), math.log(high)))
-
-
-def plain_cylinder(rng: np.random.Generator) -> list[Part]:
-    return [cylinder(_spread(rng, 6, 41), _spread(rng, 12, 300), _spread(rng, 0.05, 8))]
-
-
-def plain_block(rng: np.random.Generator) -> list[Part]:
-    x, y, z = (_spread(rng, 10, 220) for _ in range(3))
-    return [box(x, y, z, _spread(rng, 0.05, 8))]
-
-
-def plain_ball(rng: np.random.Generator) -> list[Part]:
-    return [ball(_spread(rng, 10, 41), _spread(rng, 0.05, 3))]
-
-
 PLAIN: dict[str, tuple[Family, tuple[float, float]]] = {
-    "plain cylinder": (plain_cylinder, (0.4, 0.8)),
-    "plain block": (plain_block, (0.4, 0.8)),
-    "plain ball": (plain_ball, (0.4, 0.9)),
+    "plain cylinder": (single(cylinder, (6, 41), (12, 300), (0.05, 8), draw=spread), (0.4, 0.8)),
+    "plain block": (single(box, *[(10, 220)] * 3, (0.05, 8), draw=spread), (0.4, 0.8)),
+    "plain ball": (single(ball, (10, 41), (0.05, 3), draw=spread), (0.4, 0.9)),
 }
 """Plain solids as thin, tall, flat and heavy as things that people hold: pens, cans, cartons, nuts."""

@@ -28,6 +28,8 @@ CREDIT_TIME = 1e-3
 CREDIT_ANGLE = 1e-4
 """Permitted lead of a servo over its rate limit: 1 ms at the limit, plus 1e-4 rad."""
 
+KNOWN = (wire.FAULT_ESTOP, wire.FAULT_WATCHDOG)
+"""Faults whose cause the oracle has seen itself."""
 RULES = ("range", "rate", "start", "unarmed", "estop", "silence", "accept")
 
 
@@ -136,15 +138,9 @@ class Conversation:
                         now_us,
                         f"message {message.payload[0]} was carried out, but never came",
                     )
-            elif message.kind == wire.FAULT and message.payload[0] not in (
-                wire.FAULT_ESTOP,
-                wire.FAULT_WATCHDOG,
-            ):
-                self.end(
-                    wire.RELAX if message.payload[0] == wire.FAULT_OVERLOAD else wire.DETACH,
-                    now_us,
-                    "silence",
-                )
+            elif message.kind == wire.FAULT and message.payload[0] not in KNOWN:
+                overload = message.payload[0] == wire.FAULT_OVERLOAD
+                self.end(wire.RELAX if overload else wire.DETACH, now_us, "silence")
 
     def _carried_out(self, now_us: int, message: wire.Message) -> None:
         self._findings.tried["accept"] += 1
@@ -227,19 +223,13 @@ class Oracle(Findings):
     ) -> None:
         super().__init__()
         self._holds = holds_unpowered
-        self._low = [round(x * 1e4) / 1e4 for x in hand.servo_min]
-        self._high = [round(x * 1e4) / 1e4 for x in hand.servo_max]
-        self._centre = [(low + high) / 2 for low, high in zip(self._low, self._high, strict=True)]
-        self._rest = [
-            min(max(0.0, low), high) for low, high in zip(self._low, self._high, strict=True)
-        ]
-        self._rate = [float(x) for x in np.broadcast_to(hand.servo_rate_limit, len(SERVOS))]
-        self._period_us = period_us
-        ways = (
-            (high - low) / (RELAX_SHARE * rate)
-            for low, high, rate in zip(self._low, self._high, self._rate, strict=True)
+        low, high = (np.rint(1e4 * end) / 1e4 for end in (hand.servo_min, hand.servo_max))
+        rate = np.broadcast_to(hand.servo_rate_limit, len(SERVOS))
+        self._low, self._high, self._centre, self._rest, self._rate = (
+            each.tolist() for each in (low, high, (low + high) / 2, np.clip(0.0, low, high), rate)
         )
-        self._way_to_rest_us = max(ways) * 1e6
+        self._period_us = period_us
+        self._way_to_rest_us = 1e6 * float(((high - low) / (RELAX_SHARE * rate)).max())
         self.said = Conversation(self, self._low, self._high)
         self.power_on()
 
@@ -278,11 +268,8 @@ class Oracle(Findings):
             if powered:
                 self.complain("unarmed", now_us, "pulses although the hand is not armed")
             return
-        allowed_us = (
-            0.0
-            if self.said.ending == wire.DETACH
-            else self._way_to_rest_us + (HOLD_US if self.said.ending == wire.HOLD else 0)
-        )
+        way_us = self._way_to_rest_us
+        allowed_us = {wire.DETACH: 0.0, wire.HOLD: way_us + HOLD_US}.get(self.said.ending, way_us)
         self.tried[self.said.ending_rule] += 1
         if powered and now_us > self.said.ending_us + allowed_us + 2 * self._period_us:
             self.complain(
