@@ -5,7 +5,6 @@ The floor is the best agreement that can be expected: an engine compared with it
 object displaced imperceptibly. Contact amplifies every difference, so single episodes diverge long
 before success rates do."""
 
-import argparse
 import json
 import os
 import sys
@@ -17,7 +16,7 @@ import gymnasium
 import numpy as np
 
 from hpac_gym.body.urdf import WRIST_EFFORT
-from hpac_gym.command import run_module, whole_number
+from hpac_gym.command import command_parser, run, whole_number
 from hpac_gym.errors import ParameterError
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import paired_difference, success_counts
@@ -235,27 +234,24 @@ def _interval(entry: dict[str, Any]) -> str:
     return f"{100 * entry['difference']:+.1f} ({100 * low:+.1f} … {100 * high:+.1f}) of {entry['episodes']}"
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's options."""
-    parser.add_argument(
-        "--policy",
-        default="scripted",
-        help="scripted, random, or a policy file (default: %(default)s)",
-    )
+def main(argv: list[str] | None = None) -> int:
+    """Run the command."""
+    parser = command_parser("experiments.agree", __doc__)
+    parser.add_argument("--policy", default="scripted", help="scripted, random, or a policy file")
     parser.add_argument(
         "-n",
         "--episodes",
         type=whole_number(1),
         default=1200,
         metavar="N",
-        help="episodes per set-up (default: %(default)s)",
+        help="episodes per set-up",
     )
     parser.add_argument(
         "--set-ups",
         nargs="+",
         default=list(SET_UPS),
         metavar="ENGINE/BODY",
-        help="set-ups, compared with the first (default: %(default)s); ENGINE/BODY/VARIATION has other "
+        help="set-ups, compared with the first; ENGINE/BODY/VARIATION has other "
         f"physics: {', '.join(VARIATIONS)}",
     )
     parser.add_argument(
@@ -264,43 +260,37 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_false",
         help="do not compare the set-ups with themselves",
     )
-    parser.add_argument(
-        "--randomize", default="nominal", help="nominal, hand, link or full (default: %(default)s)"
-    )
+    parser.add_argument("--randomize", default="nominal", help="nominal, hand, link or full")
     parser.add_argument(
         "--seed-start",
         type=whole_number(0),
         default=HELD_OUT_SEED,
         metavar="SEED",
-        help="seed of the first episode (default: %(default)s)",
+        help="seed of the first episode",
     )
     parser.add_argument(
         "--workers",
         type=whole_number(1),
         default=os.cpu_count() or 1,
         metavar="N",
-        help="number of processes (default: %(default)s)",
+        help="number of processes",
     )
     parser.add_argument(
         "--json", action="store_true", help="print one JSON object instead of the tables"
     )
-    parser.set_defaults(run=run)
-
-
-def run(options: argparse.Namespace) -> int:
-    """Run the command."""
+    arguments = parser.parse_args(argv)
     report = agreement(
-        options.policy,
-        options.episodes,
-        options.set_ups,
-        seed_start=options.seed_start,
-        randomize=options.randomize,
-        floor=options.floor,
-        workers=options.workers,
+        arguments.policy,
+        arguments.episodes,
+        arguments.set_ups,
+        seed_start=arguments.seed_start,
+        randomize=arguments.randomize,
+        floor=arguments.floor,
+        workers=arguments.workers,
     )
-    print(json.dumps(report, indent=2) if options.json else table(report))
+    print(json.dumps(report, indent=2) if arguments.json else table(report))
     return 0
 
 
 if __name__ == "__main__":
-    sys.exit(run_module("experiments.agree", __doc__, add_arguments))
+    sys.exit(run(main))

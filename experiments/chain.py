@@ -6,7 +6,6 @@ scripted closure runs the same episodes with each model. The truth is simulated:
 zero of the servo, the geometry of all hands is the nominal one, and camera and friction are those of
 `experiments.reference`."""
 
-import argparse
 import json
 import os
 import sys
@@ -25,7 +24,7 @@ from hpac_gym.body.hands import hand_set
 from hpac_gym.calibration.identification import identify
 from hpac_gym.calibration.judging import judged
 from hpac_gym.calibration.record import RecordError, Sweep
-from hpac_gym.command import run_module, whole_number
+from hpac_gym.command import command_parser, run, whole_number
 from hpac_gym.envs import GRASPS
 from hpac_gym.envs.models import FILES
 from hpac_gym.evaluation.grasps import run_trial
@@ -251,17 +250,14 @@ def draw(cells: Sequence[Mapping], path: Path) -> None:
     save(figure, path)
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's options."""
+def main(argv: list[str] | None = None) -> int:
+    """Calibrate the hands, run the grasps, print a table an engine, write the cells; or draw them."""
+    parser = command_parser("experiments.chain", __doc__)
     parser.add_argument("--hands", type=whole_number(1), default=42, help="hands of each kind")
     parser.add_argument("--workers", type=whole_number(1), default=os.cpu_count() or 1)
     parser.add_argument("--out", type=Path, default=OUT, metavar="JSON")
     parser.add_argument("--draw", type=Path, metavar="PNG", help="only draw the cells of --out")
-    parser.set_defaults(run=run)
-
-
-def run(arguments: argparse.Namespace) -> int:
-    """Calibrate the hands, run the grasps, print a table an engine, write the cells; or draw them."""
+    arguments = parser.parse_args(argv)
     if arguments.draw:
         draw(json.loads(arguments.out.read_text())["cells"], arguments.draw)
         return 0
@@ -311,4 +307,4 @@ def _calibrated(population: str, seed: int) -> tuple[Hand, Hand] | None:
 
 
 if __name__ == "__main__":
-    sys.exit(run_module("experiments.chain", __doc__, add_arguments))
+    sys.exit(run(main))

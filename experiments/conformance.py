@@ -5,7 +5,6 @@ One suite for every engine and body. It compares an engine's output (`SceneState
 the model's equations, the tendon law in NumPy and forward kinematics from the geometry; no engine
 is its own reference."""
 
-import argparse
 import importlib.util
 import json
 import sys
@@ -17,7 +16,7 @@ import numpy as np
 
 from hpac_gym.body.geometry import HPAC_GEOMETRY, Geometry, link_poses
 from hpac_gym.body.objects import ObjectSpec
-from hpac_gym.command import run_module, whole_number
+from hpac_gym.command import command_parser, run, whole_number
 from hpac_gym.errors import ParameterError
 from hpac_gym.model import (
     FINGERS,
@@ -266,8 +265,13 @@ def _hands(make: Factory, n: int, setup: SceneSetup, world: WorldSettings) -> Si
     return hands
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's arguments."""
+def main(argv: list[str] | None = None) -> int:
+    """Measure every requested combination that is installed; exit status 1 if a limit is exceeded.
+
+    Raises:
+        ParameterError: No requested combination is installed.
+    """
+    parser = command_parser("experiments.conformance", __doc__)
     parser.add_argument("--engine", choices=ENGINES, help="this engine alone")
     parser.add_argument("--body", choices=tuple(BODIES), help="this body alone")
     parser.add_argument(
@@ -275,18 +279,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=whole_number(1),
         default=WorldSettings().physics_hz,
         metavar="HZ",
-        help="physics steps a second (default: %(default)s)",
+        help="physics steps a second",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
-    parser.set_defaults(run=run)
-
-
-def run(arguments: argparse.Namespace) -> int:
-    """Measure every requested combination that is installed; exit status 1 if a limit is exceeded.
-
-    Raises:
-        ParameterError: No requested combination is installed.
-    """
+    arguments = parser.parse_args(argv)
     world = WorldSettings(physics_hz=arguments.physics_hz)
     wanted = [
         (engine, body)
@@ -326,4 +322,4 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(run_module("experiments.conformance", __doc__, add_arguments))
+    sys.exit(run(main))

@@ -8,7 +8,6 @@ the last row, a good link, the wire has noise of its own, averaged as `hpac depl
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import sys
@@ -22,7 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from experiments.results import percent
 from hpac_gym.bridge import BridgeError, HandLink, HostBoard, StreamCounts
-from hpac_gym.command import run_module, whole_number
+from hpac_gym.command import command_parser, run, whole_number
 from hpac_gym.deploy.episode import WATCHDOG, Log, run_episode
 from hpac_gym.deploy.errors import DeployError
 from hpac_gym.deploy.observer import Observer, Pose
@@ -191,8 +190,9 @@ def in_real_time(seconds: float) -> dict[str, float]:
     }
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's options."""
+def main(argv: list[str] | None = None) -> int:
+    """Run the episodes, print a row a link, write them."""
+    parser = command_parser("experiments.deployed", __doc__)
     parser.add_argument(
         "--real-time",
         type=float,
@@ -204,11 +204,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--links", nargs="+", choices=LINKS, default=list(LINKS))
     parser.add_argument("--workers", type=whole_number(1), default=os.cpu_count() or 1)
     parser.add_argument("--out", type=Path, default=OUT, metavar="JSON")
-    parser.set_defaults(run=run)
-
-
-def run(arguments: argparse.Namespace) -> int:
-    """Run the episodes, print a row a link, write them."""
+    arguments = parser.parse_args(argv)
     if arguments.real_time:
         print(json.dumps(in_real_time(arguments.real_time)))
         return 0
@@ -243,4 +239,4 @@ def deployed_table(cells: Sequence[Mapping[str, Any]]) -> str:
 
 
 if __name__ == "__main__":
-    sys.exit(run_module("experiments.deployed", __doc__, add_arguments))
+    sys.exit(run(main))

@@ -8,7 +8,6 @@ other hands of the same workshop.
 
 Files and rows are kept, and a later run continues them."""
 
-import argparse
 import json
 import sys
 import time
@@ -23,7 +22,7 @@ from experiments.chain import slack_hand, swept
 from hpac_gym.calibration.calibrate import named
 from hpac_gym.calibration.identification import identify
 from hpac_gym.calibration.posterior import read_draws, write_draws
-from hpac_gym.command import minutes, run_module, whole_number
+from hpac_gym.command import command_parser, minutes, run, whole_number
 from hpac_gym.evaluation.evaluate import run_block
 from hpac_gym.evaluation.forecast import Forecast, forecast
 from hpac_gym.evaluation.statistics import wilson_interval
@@ -145,8 +144,9 @@ def table(cells: Sequence[dict[str, Any]]) -> str:
     )
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's options."""
+def main(argv: list[str] | None = None) -> int:
+    """Continue the file row by row, and print the table of the rows that it has."""
+    parser = command_parser("experiments.forecast", __doc__)
     parser.add_argument("--hands", type=whole_number(1), default=40, help="hidden hands")
     parser.add_argument(
         "--first", type=whole_number(0), default=FIRST_HAND, help="seed of the first"
@@ -158,11 +158,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="begin no hand after so many minutes",
     )
     parser.add_argument("--out", type=Path, default=OUT, metavar="JSON")
-    parser.set_defaults(run=run)
-
-
-def run(arguments: argparse.Namespace) -> int:
-    """Continue the file row by row, and print the table of the rows that it has."""
+    arguments = parser.parse_args(argv)
     text: dict[str, Any] = {"without_a_sweep": {}, "rows": []}
     if arguments.out.exists():
         text = json.loads(arguments.out.read_text())
@@ -190,4 +186,4 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(run_module("experiments.forecast", __doc__, add_arguments))
+    sys.exit(run(main))

@@ -6,7 +6,6 @@ which is what the firmware's pulses do (`tests/experiments/test_gap.py`)."""
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import sys
@@ -19,7 +18,7 @@ import numpy as np
 from experiments.chain import calibrated
 from experiments.results import percent
 from hpac_gym.bridge import pulses_from_servo, servo_from_pulses
-from hpac_gym.command import run_module, whole_number
+from hpac_gym.command import command_parser, run, whole_number
 from hpac_gym.evaluation.episodes import run_episodes, worlds
 from hpac_gym.evaluation.evaluate import env_id_of
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
@@ -154,18 +153,15 @@ def episodes(policy: str, row: str, block: int, seeds: Sequence[int]) -> list[bo
     return [held[seed] for seed in seeds]
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's options."""
+def main(argv: list[str] | None = None) -> int:
+    """Run the episodes, print a row a cause, write them."""
+    parser = command_parser("experiments.gap", __doc__)
     parser.add_argument("--policy", default="grasp")
     parser.add_argument("--episodes", type=whole_number(BATCH), default=240, help="for each row")
     parser.add_argument("--rows", nargs="+", choices=ROWS, default=list(ROWS))
     parser.add_argument("--workers", type=whole_number(1), default=os.cpu_count() or 1)
     parser.add_argument("--out", type=Path, default=OUT, metavar="JSON")
-    parser.set_defaults(run=run)
-
-
-def run(arguments: argparse.Namespace) -> int:
-    """Run the episodes, print a row a cause, write them."""
+    arguments = parser.parse_args(argv)
     blocks = arguments.episodes // BATCH
     jobs = [
         (arguments.policy, row, block, [HELD_OUT_SEED + block * BATCH + i for i in range(BATCH)])
@@ -199,4 +195,4 @@ def gap_table(cells: Sequence[Mapping[str, Any]]) -> str:
 
 
 if __name__ == "__main__":
-    sys.exit(run_module("experiments.gap", __doc__, add_arguments))
+    sys.exit(run(main))

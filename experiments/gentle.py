@@ -8,7 +8,6 @@ were chosen on training seeds; every result is of held-out ones."""
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 from collections.abc import Callable
@@ -22,7 +21,7 @@ import numpy as np
 import hpac_gym  # noqa: F401  registers the environments
 from agents.gentle import Hands
 from agents.gentle_rule import CLOSING, MOVES, PER_RADIAN, RULE, STEPS, UNTOLD
-from hpac_gym.command import run_module
+from hpac_gym.command import command_parser, run
 from hpac_gym.evaluation.episodes import run_episodes, worlds
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import success_counts
@@ -257,9 +256,19 @@ def _write(file: Path, command: str, found: dict[str, Any]) -> None:
     print(json.dumps(found), flush=True)
 
 
-def _run(arguments: argparse.Namespace) -> int:
+def main(argv: list[str] | None = None) -> int:
+    parser = command_parser("experiments.gentle", __doc__)
+    parser.add_argument("what", choices=("rows", "closures", "judge", "join"), help="what to do")
+    parser.add_argument("policies", nargs="*", help="of `judge`: gentle, or policy files")
+    parser.add_argument("--set-up", choices=SET_UPS, default="mujoco/light", help="engine and body")
+    parser.add_argument("--untold", action="store_true", help="the crush limit is not told")
+    parser.add_argument("--episodes", type=int, default=384, help="how many")
+    parser.add_argument("--seed-start", type=int, default=HELD_OUT_SEED, help="of `judge`")
+    parser.add_argument("--closures", type=int, default=64, help="number of random closures")
+    parser.add_argument("--out", type=Path, default=Path("runs/gentle"), help="folder of results")
+    arguments = parser.parse_args(argv)
     out = writable_folder(arguments.out)
-    words = " ".join(sys.argv[1:])
+    words = " ".join(sys.argv[1:] if argv is None else argv)
     command = f"python -m experiments.gentle {words}"
     engine, body = arguments.set_up.split("/")
     told = not arguments.untold
@@ -282,18 +291,5 @@ def _run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the command's arguments."""
-    parser.add_argument("what", choices=("rows", "closures", "judge", "join"), help="what to do")
-    parser.add_argument("policies", nargs="*", help="of `judge`: gentle, or policy files")
-    parser.add_argument("--set-up", choices=SET_UPS, default="mujoco/light", help="engine and body")
-    parser.add_argument("--untold", action="store_true", help="the crush limit is not told")
-    parser.add_argument("--episodes", type=int, default=384, help="how many")
-    parser.add_argument("--seed-start", type=int, default=HELD_OUT_SEED, help="of `judge`")
-    parser.add_argument("--closures", type=int, default=64, help="number of random closures")
-    parser.add_argument("--out", type=Path, default=Path("runs/gentle"), help="folder of results")
-    parser.set_defaults(run=_run)
-
-
 if __name__ == "__main__":
-    sys.exit(run_module("experiments.gentle", __doc__, add_arguments))
+    sys.exit(run(main))

@@ -3,7 +3,6 @@ experiments.held_out``.
 
 A hand whose record is refused, the one with a dead finger, has no file."""
 
-import argparse
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +16,7 @@ from hpac_gym.calibration.calibrate import named
 from hpac_gym.calibration.identification import identify
 from hpac_gym.calibration.judging import judged
 from hpac_gym.calibration.record import RecordError
-from hpac_gym.command import run_module
+from hpac_gym.command import command_parser, run
 from hpac_gym.model import HPAC, Hand, hand_to_toml
 from hpac_gym.model.calibration import Calibration
 from hpac_gym.model.checks import Array
@@ -29,16 +28,11 @@ from hpac_gym.progress import progress
 OUT = Path("hpac_gym/body/data/calibrated")
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's options."""
-    parser.add_argument(
-        "--out", type=Path, default=OUT, metavar="DIR", help="folder of the files (%(default)s)"
-    )
-    parser.set_defaults(run=run)
-
-
-def run(arguments: argparse.Namespace) -> int:
+def main(argv: list[str] | None = None) -> int:
     """Sweep and calibrate every held-out hand, and print the error of its file."""
+    parser = command_parser("experiments.held_out", __doc__)
+    parser.add_argument("--out", type=Path, default=OUT, metavar="DIR", help="folder of the files")
+    arguments = parser.parse_args(argv)
     for number, variant in enumerate(progress(hand_set("test"), "held-out hands")):
         try:
             hand = calibrated(variant, number)
@@ -89,4 +83,4 @@ def file_error_deg(hand: Hand, variant: HandVariant) -> Array:
 
 
 if __name__ == "__main__":
-    sys.exit(run_module("experiments.held_out", __doc__, add_arguments))
+    sys.exit(run(main))

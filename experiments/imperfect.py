@@ -3,7 +3,6 @@ have: ``python -m experiments.imperfect``."""
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 from collections.abc import Sequence
@@ -20,7 +19,7 @@ from hpac_gym.calibration.fitting import IdentificationError
 from hpac_gym.calibration.identification import identify
 from hpac_gym.calibration.judging import judged
 from hpac_gym.calibration.record import RecordError
-from hpac_gym.command import run_module, whole_number
+from hpac_gym.command import command_parser, run, whole_number
 from hpac_gym.evaluation.statistics import wilson_interval
 from hpac_gym.model import HPAC, JOINT_INDEX, SERVOS, Hand
 from hpac_gym.model.checks import Array
@@ -143,18 +142,15 @@ COLUMNS = (
 )
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's options."""
-    parser.add_argument("--hands", type=whole_number(2), default=40, help="hands (%(default)s)")
+def main(argv: list[str] | None = None) -> int:
+    """Judge the hands with either protocol, print the table and write it."""
+    parser = command_parser("experiments.imperfect", __doc__)
+    parser.add_argument("--hands", type=whole_number(2), default=40, help="hands")
     parser.add_argument(
         "--chosen-on", action="store_true", help="the hands on which bounds were chosen"
     )
     parser.add_argument("--out", type=Path, default=OUT, metavar="JSON")
-    parser.set_defaults(run=run)
-
-
-def run(arguments: argparse.Namespace) -> int:
-    """Judge the hands with either protocol, print the table and write it."""
+    arguments = parser.parse_args(argv)
     writable_file(arguments.out)
     start = CHOSEN_ON if arguments.chosen_on else JUDGED_ON
     judged_by = {}
@@ -184,4 +180,4 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(run_module("experiments.imperfect", __doc__, add_arguments))
+    sys.exit(run(main))

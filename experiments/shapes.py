@@ -4,7 +4,6 @@ Each is a few boxes, cylinders and spheres that were put together by hand for th
 things that people hold, and comes in the stable poses that drops find. Script and policies grasp
 each in the same episodes."""
 
-import argparse
 import json
 import os
 import sys
@@ -14,7 +13,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from hpac_gym.body.own_objects import own_object
-from hpac_gym.command import run_module, whole_number
+from hpac_gym.command import command_parser, run, whole_number
 from hpac_gym.evaluation.evaluate import run_block
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import paired_difference, success_counts
@@ -171,18 +170,15 @@ def grasped(policy: str, name: str, body: str, episodes: int) -> list[bool]:
     return [episode.success for (episode,) in rows]
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's options."""
+def main(argv: list[str] | None = None) -> int:
+    """Grasp every shape with every policy and the script, print a row a policy, write them."""
+    parser = command_parser("experiments.shapes", __doc__)
     parser.add_argument("--policy", nargs="+", default=["grasp-any", "grasp-any-wrist"])
     parser.add_argument("--body", choices=("twin", "light"), default="twin")
     parser.add_argument("--episodes", type=whole_number(1), default=50, help="of each shape")
     parser.add_argument("--workers", type=whole_number(1), default=os.cpu_count() or 1)
     parser.add_argument("--out", type=Path, default=OUT, metavar="JSON")
-    parser.set_defaults(run=run)
-
-
-def run(arguments: argparse.Namespace) -> int:
-    """Grasp every shape with every policy and the script, print a row a policy, write them."""
+    arguments = parser.parse_args(argv)
     names = [SCRIPTED, *arguments.policy]
     jobs = [(name, shape, arguments.body, arguments.episodes) for name in names for shape in SHAPES]
     held: dict[str, dict[str, list[bool]]] = {name: {} for name in names}
@@ -224,4 +220,4 @@ def _cell(
 
 
 if __name__ == "__main__":
-    sys.exit(run_module("experiments.shapes", __doc__, add_arguments))
+    sys.exit(run(main))

@@ -12,7 +12,7 @@ from pathlib import Path
 from experiments import commands, hidden, labels, populations, reference, rivals, tracking, trials
 from experiments.populations import Workshop
 from experiments.results import Part
-from hpac_gym.command import run_module, whole_number
+from hpac_gym.command import command_parser, run, whole_number
 from hpac_gym.errors import HpacError
 from hpac_gym.figures import save
 from hpac_gym.output import write_text
@@ -30,8 +30,9 @@ class StudyError(HpacError, ValueError):
     """The command line names an unknown part."""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's options."""
+def main(argv: list[str] | None = None) -> int:
+    """Run the parts in sequence; each writes its table, figures and numbers when it is complete."""
+    parser = command_parser("experiments.study", __doc__)
     parser.add_argument(
         "parts", nargs="*", metavar="PART", help=f"parts to run: {', '.join(PARTS)} (default: all)"
     )
@@ -42,40 +43,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="hands per population (400; costly parts: fewer)",
     )
     parser.add_argument(
-        "--seeds",
-        type=whole_number(2),
-        default=20,
-        metavar="N",
-        help="reference seeds (%(default)s)",
+        "--seeds", type=whole_number(2), default=20, metavar="N", help="reference seeds"
     )
     parser.add_argument(
-        "--trials",
-        type=whole_number(3),
-        default=5,
-        metavar="N",
-        help="trials and tracking runs (%(default)s)",
+        "--trials", type=whole_number(3), default=5, metavar="N", help="trials and tracking runs"
     )
-    parser.add_argument(
-        "--seed", type=whole_number(0), default=0, help="seed of all parts (%(default)s)"
-    )
+    parser.add_argument("--seed", type=whole_number(0), default=0, help="seed of all parts")
     parser.add_argument(
         "--quick", action="store_true", help="few and coarse runs, to test the command"
     )
     parser.add_argument(
-        "--out",
-        type=Path,
-        default=Path("runs/study"),
-        metavar="DIR",
-        help="folder of the results (%(default)s)",
+        "--out", type=Path, default=Path("runs/study"), metavar="DIR", help="folder of the results"
     )
     parser.add_argument(
         "--json", action="store_true", help="print one JSON object instead of the report"
     )
-    parser.set_defaults(run=run)
-
-
-def run(arguments: argparse.Namespace) -> int:
-    """Run the parts in sequence; each writes its table, figures and numbers when it is complete."""
+    arguments = parser.parse_args(argv)
     unknown = [name for name in arguments.parts if name not in PARTS]
     if unknown:
         raise StudyError(
@@ -157,4 +140,4 @@ PARTS: dict[str, Callable[[argparse.Namespace], Part]] = {
 
 
 if __name__ == "__main__":
-    sys.exit(run_module("experiments.study", __doc__, add_arguments))
+    sys.exit(run(main))

@@ -2,7 +2,6 @@
 experiments.sweep``.
 """
 
-import argparse
 import sys
 
 import numpy as np
@@ -12,7 +11,7 @@ from hpac_gym.calibration import sweep as of_record
 from hpac_gym.calibration.accuracy import residuals
 from hpac_gym.calibration.processing import Points, points, processed
 from hpac_gym.calibration.record import Sweep, write_sweep
-from hpac_gym.command import run_module
+from hpac_gym.command import command_parser, run
 from hpac_gym.figures import label
 from hpac_gym.model import HPAC, JOINT_INDEX, Hand, load_hand
 from hpac_gym.output import markdown, write_text
@@ -21,12 +20,6 @@ WORKSPACE_STREAM = 0
 EVALUATION_STREAM = 1
 """Random streams of the camera's noise in the two sweeps."""
 WORKSPACE_POINTS = 21
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's options."""
-    of_record.add_common_arguments(parser)
-    parser.set_defaults(run=run)
 
 
 def workspace(points: Points) -> dict[str, tuple[float, float]]:
@@ -39,8 +32,11 @@ def workspace(points: Points) -> dict[str, tuple[float, float]]:
     }
 
 
-def run(arguments: argparse.Namespace) -> int:
+def main(argv: list[str] | None = None) -> int:
     """Simulate two sweeps, evaluate them, write records, figures and tables."""
+    parser = command_parser("experiments.sweep", __doc__)
+    of_record.add_common_arguments(parser)
+    arguments = parser.parse_args(argv)
     hand = load_hand(arguments.model) if arguments.model else HPAC
     out = arguments.out
     reference = Reference.of()
@@ -105,4 +101,4 @@ def workspace_table(table: dict[str, tuple[float, float]], hand: Hand) -> str:
 
 
 if __name__ == "__main__":
-    sys.exit(run_module("experiments.sweep", __doc__, add_arguments))
+    sys.exit(run(main))

@@ -6,7 +6,6 @@ pictures of the tags on its links from 0.3 m → angles → record → `hpac cal
 pieces of the print of the sheet (`experiments.pictures`) where the simulated links are, blurred by 0.6
 pixels, with noise of 3 grey values and an uneven light; the hand itself is not drawn."""
 
-import argparse
 import json
 import sys
 from dataclasses import replace
@@ -27,7 +26,7 @@ from hpac_gym.calibration.judging import judged
 from hpac_gym.camera import CameraError
 from hpac_gym.camera.detection import Lens, detect
 from hpac_gym.camera.poses import object_place
-from hpac_gym.command import run_module, whole_number
+from hpac_gym.command import command_parser, run, whole_number
 from hpac_gym.model import HPAC
 from hpac_gym.model.checks import Array
 from hpac_gym.output import write_text
@@ -97,17 +96,14 @@ def quantiles(errors: Array) -> dict[str, float]:
     return {"p50": float(low), "p95": float(high), "max": float(most)}
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's options."""
+def main(argv: list[str] | None = None) -> int:
+    """Render, measure, write the figures."""
+    parser = command_parser("experiments.watched", __doc__)
     parser.add_argument("--pictures", type=whole_number(0), default=500)
     parser.add_argument("--hands", type=whole_number(0), default=2)
     parser.add_argument("--seed", type=whole_number(0), default=0)
     parser.add_argument("--out", type=Path, default=OUT)
-    parser.set_defaults(run=run)
-
-
-def run(arguments: argparse.Namespace) -> int:
-    """Render, measure, write the figures."""
+    arguments = parser.parse_args(argv)
     seed = arguments.seed
     objects = []
     for name, lens in LENSES.items() if arguments.pictures else ():
@@ -183,4 +179,4 @@ def thumb_set_back(built: Built, seed: int) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    sys.exit(run_module("experiments.watched", __doc__, add_arguments))
+    sys.exit(run(main))

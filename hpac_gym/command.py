@@ -155,20 +155,6 @@ def command_parser(module: str, description: str) -> Parser:
     )
 
 
-def run_module(
-    module: str, description: str, add_arguments: Callable[[argparse.ArgumentParser], None]
-) -> int:
-    """Run ``python -m module`` as `hpac` runs a command, and return its exit status."""
-
-    def command() -> int:
-        parser = command_parser(module, description)
-        add_arguments(parser)
-        arguments = parser.parse_args()
-        return arguments.run(arguments)
-
-    return run(command)
-
-
 def _number(text: str) -> float:
     try:
         return float(text)

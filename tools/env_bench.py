@@ -8,7 +8,6 @@ is the ratio of the best rounds, and a reset the least of five medians: other lo
 other libraries need another MuJoCo version: the command creates a separate virtual environment for
 them."""
 
-import argparse
 import json
 import os
 import statistics
@@ -22,7 +21,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from hpac_gym.command import run_module, whole_number
+from hpac_gym.command import command_parser, run, whole_number
 from hpac_gym.errors import HpacError
 from hpac_gym.physics.settings import WorldSettings
 from hpac_gym.physics.simulation import ENGINES
@@ -123,21 +122,12 @@ def peers_python() -> str:
     if not (stamp.exists() and stamp.read_text(encoding="utf-8") == wanted):
         print(f"creating the peers' virtual environment in {folder}", file=sys.stderr)
         venv.create(folder, with_pip=True, clear=True)
-        pip = [
-            python,
-            "-m",
-            "pip",
-            "install",
-            "--quiet",
-            "--disable-pip-version-check",
-            "--no-input",
-            *PEER_PACKAGES,
-        ]
+        quiet = ("--quiet", "--disable-pip-version-check", "--no-input")
+        pip = [python, "-m", "pip", "install", *quiet, *PEER_PACKAGES]
         done = subprocess.run(pip, stderr=subprocess.PIPE, text=True, check=False)
         if done.returncode:
-            raise BenchError(
-                f"the peers cannot be installed in {folder}: {(done.stderr.splitlines() or ['pip failed'])[-1]}"
-            )
+            last = (done.stderr.splitlines() or ["pip failed"])[-1]
+            raise BenchError(f"the peers cannot be installed in {folder}: {last}")
         stamp.write_text(wanted, encoding="utf-8")
     return str(python)
 
@@ -299,9 +289,9 @@ def lines(report: Report) -> list[str]:
     ]
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of `python -m tools.env_bench`."""
-    parser.description = " ".join(__doc__.partition("\n\n")[2].split())
+def main(argv: list[str] | None = None) -> int:
+    """Run the command: measure and print."""
+    parser = command_parser("tools.env_bench", __doc__.partition("\n\n")[2])
     parser.add_argument(
         "--engine", choices=ENGINES, action="append", help="only this engine; may be repeated"
     )
@@ -314,28 +304,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="sizes of the vector environments (default: 1 16 64)",
     )
     parser.add_argument(
-        "--rounds",
-        type=whole_number(1),
-        default=9,
-        metavar="N",
-        help="number of rounds (default: %(default)s)",
+        "--rounds", type=whole_number(1), default=9, metavar="N", help="number of rounds"
     )
     parser.add_argument(
         "--physics-hz",
         type=whole_number(1),
         default=WorldSettings().physics_hz,
         metavar="HZ",
-        help="physics steps per second (default: %(default)s)",
+        help="physics steps per second",
     )
     parser.add_argument(
         "--no-peers", action="store_true", help="without the other libraries (they need a download)"
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
-    parser.set_defaults(run=run)
-
-
-def run(arguments: argparse.Namespace) -> int:
-    """Run the command: measure and print."""
+    arguments = parser.parse_args(argv)
     installed = [engine for engine in ENGINES if find_spec(engine)]
     missing = [engine for engine in arguments.engine or [] if engine not in installed]
     if missing:
@@ -355,4 +337,4 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(run_module("tools.env_bench", __doc__, add_arguments))
+    sys.exit(run(main))

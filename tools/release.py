@@ -3,7 +3,6 @@
 It tags only when everything before has passed, and pushes nothing. ``--dry-run`` leaves out the
 commit of the changelog and the tag."""
 
-import argparse
 import subprocess
 import sys
 import venv
@@ -13,7 +12,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from hpac_gym import __version__
-from hpac_gym.command import complain, run_module
+from hpac_gym.command import command_parser, run
 from hpac_gym.errors import HpacError
 
 ROOT = Path(__file__).parents[1]
@@ -122,20 +121,14 @@ def release(root: Path, checks: Sequence[Step] = CHECKS, dry_run: bool = False) 
     print("not tagged: --dry-run" if dry_run else f"tagged v{__version__}; push it with its branch")
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's options."""
-    parser.add_argument("--dry-run", action="store_true", help="check everything, tag nothing")
-    parser.set_defaults(run=run)
-
-
-def run(arguments: argparse.Namespace) -> int:
+def main(argv: list[str] | None = None) -> int:
     """Make a release; the exit status is 2 if something is not in order."""
-    try:
-        release(ROOT, dry_run=arguments.dry_run)
-    except ReleaseError as error:
-        return complain(str(error))
+    parser = command_parser("tools.release", __doc__ or "")
+    parser.add_argument("--dry-run", action="store_true", help="check everything, tag nothing")
+    arguments = parser.parse_args(argv)
+    release(ROOT, dry_run=arguments.dry_run)
     return 0
 
 
 if __name__ == "__main__":
-    sys.exit(run_module("tools.release", __doc__ or "", add_arguments))
+    sys.exit(run(main))

@@ -2,7 +2,6 @@
 promise each.
 """
 
-import argparse
 import json
 import os
 import shutil
@@ -16,7 +15,6 @@ from hpac_gym.bridge.errors import FrameError
 from hpac_gym.bridge.firmware import BUILD_VARIABLE
 from hpac_gym.bridge.frame import decode
 from hpac_gym.bridge.hands import VirtualHand
-from tests.options import called
 from tools.evidence import hostile, safety, scenarios, sessions
 
 FIRMWARE = Path(__file__).parents[2] / "firmware"
@@ -52,7 +50,7 @@ def test_every_other_claim_holds_beside_a_control_that_does_not():
 
 @pytest.mark.slow
 def test_every_safety_claim_is_one_row_of_the_command(capsys):
-    called(safety, "--json", "--frames", "20000", "--trials", "5", "--sessions", "200")
+    safety.main(["--json", "--frames", "20000", "--trials", "5", "--sessions", "200"])
     claims = json.loads(capsys.readouterr().out)
     assert len(claims) == len({claim["claim"] for claim in claims}) == len(safety._PLAYED) + 9
     check(safety.Claim(*list(claim.values())[:-1]) for claim in claims)
@@ -66,7 +64,7 @@ def test_a_claim_that_was_not_tried_does_not_hold(capsys, monkeypatch):
     assert few
     assert not any(claim.holds for claim in few)
     monkeypatch.setattr(safety, "measure", lambda *_: iter(few))
-    assert called(safety) == 1
+    assert safety.main([]) == 1
     assert "NOT TRIED" in capsys.readouterr().out
 
 
@@ -74,9 +72,9 @@ def test_a_broken_claim_is_told_and_ends_in_status_1(capsys, monkeypatch):
     monkeypatch.setattr(
         safety, "measure", lambda *_: iter([safety.Claim("it is safe", 21.0, 20.0, "ms", 1, 30.0)])
     )
-    assert called(safety) == 1
+    assert safety.main([]) == 1
     assert "BROKEN" in capsys.readouterr().out
-    assert called(safety, "--json") == 1
+    assert safety.main(["--json"]) == 1
     (row,) = json.loads(capsys.readouterr().out)
     assert row["claim"] == "it is safe"
     assert list(row.values())[1:] == [21.0, 20.0, "ms", 1, 30.0, False]
@@ -158,24 +156,16 @@ def test_none_of_ten_thousand_random_sessions_leaves_the_hand_powered():
     check_sessions(sessions.run_sessions(10_000, seed=2))
 
 
-def test_safety_tries_ten_million_frames_twenty_times_ten_thousand_sessions_unless_told():
-    parser = argparse.ArgumentParser()
-    safety.add_arguments(parser)
-    options = parser.parse_args([])
-    assert (options.frames, options.trials, options.sessions, options.seed) == (
-        10_000_000,
-        20,
-        10_000,
-        1,
-    )
-    assert (
-        parser.parse_args(
-            ["--frames", "1", "--trials", "1", "--sessions", "1", "--seed", "1"]
-        ).frames
-        == 1
-    )
+def test_safety_tries_ten_million_frames_twenty_times_ten_thousand_sessions_unless_told(
+    monkeypatch,
+):
+    asked = []
+    monkeypatch.setattr(safety, "measure", lambda *numbers: asked.append(numbers) or iter(()))
+    safety.main([])
+    safety.main(["--frames", "1", "--trials", "1", "--sessions", "1", "--seed", "1"])
+    assert asked == [(10_000_000, 20, 10_000, 1), (1, 1, 1, 1)]
     with pytest.raises(SystemExit):
-        parser.parse_args(["--sessions", "0"])
+        safety.main(["--sessions", "0"])
 
 
 class Deaf(VirtualHand):

@@ -12,7 +12,6 @@ from hpac_gym.errors import ParameterError
 from hpac_gym.model import HPAC
 from hpac_gym.physics.settings import BODIES, WorldSettings
 from hpac_gym.physics.simulation import SET_UPS, make_engine
-from tests.options import called
 
 WORLD = WorldSettings()
 
@@ -92,12 +91,12 @@ def test_the_command_prints_every_figure_and_fails_on_a_missed_mark(
         "figures",
         lambda make, body, world: [conformance.Figure("gap", value, 1.0, "mm")],
     )
-    assert called(conformance, "--engine", "mujoco") == status
+    assert conformance.main(["--engine", "mujoco"]) == status
     lines = capsys.readouterr().out.splitlines()
     assert [line for line in lines if not line.startswith(" ")] == ["mujoco/twin", "mujoco/light"]
     assert all(("MISSED" in line) == (status == 1) for line in lines if line.startswith(" "))
     words = ["--engine", "mujoco", "--body", "light", "--json"]
-    assert called(conformance, *words) == status
+    assert conformance.main(words) == status
     (figure,) = json.loads(capsys.readouterr().out)["mujoco/light"]
     assert figure == {
         "name": "gap",
@@ -110,4 +109,4 @@ def test_the_command_prints_every_figure_and_fails_on_a_missed_mark(
 
 def test_a_combination_that_does_not_ship_is_refused():
     with pytest.raises(ParameterError, match="pybullet with body light is not installed"):
-        called(conformance, "--engine", "pybullet", "--body", "light")
+        conformance.main(["--engine", "pybullet", "--body", "light"])

@@ -21,7 +21,6 @@ from hpac_gym.figures import label
 from hpac_gym.model import HPAC, JOINTS
 from hpac_gym.model.calibration import Calibration, Friction
 from hpac_gym.model.settled import EXTENSION, FLEXION, settled_joints_from_servo
-from tests.options import parsed
 
 REFERENCE = Reference.of()
 SERVO = np.linspace(0, 1, 11)
@@ -248,7 +247,7 @@ def test_a_table_shows_every_number_in_its_form_and_keeps_it_whole_for_programs(
 
 
 def command(tmp_path, capsys, *words: str) -> dict:
-    assert study.run(parsed(study, *words, "--quick", "--json", "--out", tmp_path)) == 0
+    assert study.main([*words, "--quick", "--json", "--out", str(tmp_path)]) == 0
     return json.loads(capsys.readouterr().out)
 
 
@@ -274,7 +273,7 @@ def test_an_unknown_part_is_told(tmp_path):
     with pytest.raises(
         study.StudyError, match=r"speed: experiments\.study has the parts populations, causes"
     ):
-        study.run(parsed(study, "speed", "--out", tmp_path))
+        study.main(["speed", "--out", str(tmp_path)])
 
 
 @pytest.mark.slow

@@ -5,7 +5,6 @@ from copy import deepcopy
 
 import pytest
 
-from tests.options import called
 from tools import env_bench as bench
 
 
@@ -84,21 +83,8 @@ def test_what_is_not_measured_has_no_mark():
 def test_an_engine_is_measured(engine, capsys, monkeypatch):
     monkeypatch.setattr(bench, "STEPS", 8)
     monkeypatch.setattr(bench, "RESETS", 6)
-    assert (
-        called(
-            bench,
-            "--engine",
-            engine,
-            "--num-envs",
-            "1",
-            "2",
-            "--rounds",
-            "1",
-            "--no-peers",
-            "--json",
-        )
-        == 0
-    )
+    words = ["--num-envs", "1", "2", "--rounds", "1", "--no-peers", "--json"]
+    assert bench.main(["--engine", engine, *words]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["two_processes_of_arithmetic"] > 0
     figures = found["engines"][engine]
@@ -111,7 +97,7 @@ def test_an_engine_is_measured(engine, capsys, monkeypatch):
 def test_an_environment_that_fails_is_one_line(monkeypatch):
     monkeypatch.setattr(bench, "find_spec", lambda name: name == "pybullet")
     with pytest.raises(bench.BenchError, match="engine 'mujoco' is not installed, only pybullet"):
-        called(bench, "--engine", "mujoco")
+        bench.main(["--engine", "mujoco"])
     worker = bench.Worker(bench.sys.executable, kind="arithmetic")
     with pytest.raises(
         bench.BenchError, match="an environment of the benchmark failed: AttributeError"

@@ -7,7 +7,6 @@ process under this machine's scheduler, and thus also depend on the machine. A c
 hand between core and oracle, or omits the protection that the claim is about: a claim holds only if
 something was tried, the figure is within its limit, and the control's is not."""
 
-import argparse
 import subprocess
 import sys
 import time
@@ -23,7 +22,7 @@ from hpac_gym.bridge.firmware import firmware_file
 from hpac_gym.bridge.hands import HostBoard
 from hpac_gym.bridge.link import HandLink
 from hpac_gym.bridge.protocol import CONSTANTS, Action
-from hpac_gym.command import run_module, whole_number
+from hpac_gym.command import command_parser, run, whole_number
 from tools.evidence import hostile, scenarios
 from tools.evidence.judged_hand import (
     AlwaysOn,
@@ -309,8 +308,9 @@ def _wall_clock(trials: int) -> Iterator[Claim]:
     )
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's options."""
+def main(argv: list[str] | None = None) -> int:
+    """Measure the claims and print each as soon as it is known."""
+    parser = command_parser("tools.evidence.safety", __doc__)
     parser.add_argument(
         "--json",
         action="store_true",
@@ -320,15 +320,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--trials", type=whole_number(1), default=20, help="wall-clock repetitions")
     parser.add_argument("--sessions", type=whole_number(1), default=10_000, help="random sessions")
     parser.add_argument("--seed", type=whole_number(1), default=1, help="of frames and sessions")
-    parser.set_defaults(run=run)
-
-
-def run(options: argparse.Namespace) -> int:
-    """Measure the claims and print each as soon as it is known."""
-    claims = measure(options.frames, options.trials, options.sessions, options.seed)
+    arguments = parser.parse_args(argv)
+    claims = measure(arguments.frames, arguments.trials, arguments.sessions, arguments.seed)
     names = ("claim", "figure", "limit", "unit", "tried", "control", "holds")
-    return verdict(claims, options.json, *names)
+    return verdict(claims, arguments.json, *names)
 
 
 if __name__ == "__main__":
-    sys.exit(run_module("tools.evidence.safety", __doc__, add_arguments))
+    sys.exit(run(main))

@@ -10,7 +10,6 @@ be off once the watchdog and the safe action have run.
 `--control` runs the same programs with one part of the bridge's ending taken out, and must find
 some that leave something."""
 
-import argparse
 import os
 import signal
 import subprocess
@@ -26,7 +25,7 @@ from tqdm import tqdm
 from hpac_gym.bridge.errors import PortError
 from hpac_gym.bridge.hands import HostBoard
 from hpac_gym.bridge.transport import SerialTransport
-from hpac_gym.command import run_module, whole_number
+from hpac_gym.command import command_parser, run, whole_number
 from tools.evidence.programs import CONTROLS, Program, drawn
 
 SETTLED = 0.5
@@ -140,17 +139,14 @@ def summary(verdicts: list[Verdict]) -> str:
     )
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's options."""
+def main(argv: list[str] | None = None) -> int:
+    """Run programs, print what was left; the status is 1 if anything was."""
+    parser = command_parser("tools.evidence.user_programs", __doc__)
     parser.add_argument("--count", type=whole_number(1), default=300, help="number of programs")
     parser.add_argument("--seed", type=whole_number(0), default=0)
     parser.add_argument("--workers", type=whole_number(1), default=4, help="programs at a time")
     parser.add_argument("--control", choices=CONTROLS, default="", help="part to take out")
-    parser.set_defaults(run=run)
-
-
-def run(arguments: argparse.Namespace) -> int:
-    """Run programs, print what was left; the status is 1 if anything was."""
+    arguments = parser.parse_args(argv)
     verdicts = run_programs(arguments.count, arguments.seed, arguments.workers, arguments.control)
     bad = [verdict for verdict in verdicts if verdict.left]
     print(*bad, summary(verdicts), sep="\n")
@@ -158,4 +154,4 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(run_module("tools.evidence.user_programs", __doc__, add_arguments))
+    sys.exit(run(main))
