@@ -25,7 +25,6 @@ from hpac_gym.output import markdown
 from hpac_gym.physics.mjcf import TORSION
 from hpac_gym.physics.settings import WorldSettings
 from hpac_gym.physics.simulation import SET_UPS
-from hpac_gym.progress import progress
 from hpac_gym.registration import GRASP
 
 FLOOR = (1e-6, 1e-3)
@@ -148,8 +147,8 @@ def agreement(
     parts = [seeds[start : start + CHUNK] for start in range(0, episodes, CHUNK)]
     jobs = [(policy, variant, part, randomize) for variant in variants for part in parts]
     found: dict[Variant, list[Trial]] = {variant: [] for variant in variants}
-    shown = progress(jobs, "agree")
-    for (_, variant, *_), trials in zip(shown, shared(run_trials, jobs, workers), strict=True):
+    done = shared(run_trials, jobs, workers, "agree")
+    for (_, variant, *_), trials in zip(jobs, done, strict=True):
         found[variant] += trials
     reference = found[plain[0]]
     shapes = sorted({trial.shape for trial in reference})

@@ -39,7 +39,6 @@ from hpac_gym.model.settled import settled_joints_from_servo
 from hpac_gym.output import markdown, writable_file, write_text
 from hpac_gym.physics.stand import HAND
 from hpac_gym.policies.loading import load_policy
-from hpac_gym.progress import progress
 
 SEED = 33_000
 """First seed of the hands; no other experiment uses it."""
@@ -265,8 +264,8 @@ def main(argv: list[str] | None = None) -> int:
     wanted = [(kind, seed) for kind in POPULATIONS for seed in range(arguments.hands)]
     hands: dict[tuple[str, int], tuple[Hand, Hand]] = {}
     refused: list[str] = []
-    bar = progress(wanted, "calibrating")
-    for (kind, seed), pair in zip(bar, shared(_calibrated, wanted, arguments.workers), strict=True):
+    pairs = shared(_calibrated, wanted, arguments.workers, "calibrating")
+    for (kind, seed), pair in zip(wanted, pairs, strict=True):
         if pair is None:
             refused.append(f"{kind} {seed}")
         else:
@@ -277,10 +276,7 @@ def main(argv: list[str] | None = None) -> int:
         for (kind, seed), (hand, file) in hands.items()
         for grasp in TYPES
     ]
-    rows = []
-    bar = progress(jobs, "grasping")
-    for _, found in zip(bar, shared(trials, jobs, arguments.workers), strict=True):
-        rows += found
+    rows = [row for found in shared(trials, jobs, arguments.workers, "grasping") for row in found]
     cells = summary(rows)
     text = json.dumps(
         {

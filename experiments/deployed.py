@@ -35,7 +35,6 @@ from hpac_gym.evaluation.workers import shared
 from hpac_gym.model import HPAC
 from hpac_gym.output import markdown, write_text
 from hpac_gym.policies.loading import load_policy
-from hpac_gym.progress import progress
 from hpac_gym.tasks.cameras import CameraNoise
 from hpac_gym.tasks.task import CONTROL_HZ, SUCCESS
 from hpac_gym.virtual.body import LockStep
@@ -214,8 +213,7 @@ def main(argv: list[str] | None = None) -> int:
         for first in range(HELD_OUT_SEED, last, 10)
     ]
     by_link: dict[str, list[tuple]] = {name: [] for name in arguments.links}
-    bar = progress(jobs, "episodes")
-    for _, rows in zip(bar, shared(pairs, jobs, arguments.workers), strict=True):
+    for rows in shared(pairs, jobs, arguments.workers, "episodes"):
         for name, *row in rows:
             by_link[name].append(tuple(row))
     cells = summary(by_link)

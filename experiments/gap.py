@@ -29,7 +29,6 @@ from hpac_gym.output import markdown, write_text
 from hpac_gym.physics.simulation import Simulation
 from hpac_gym.policies import Policy
 from hpac_gym.policies.loading import load_policy
-from hpac_gym.progress import progress
 from hpac_gym.tasks.terms import LENGTH_UNIT
 
 OUT = Path("docs/results/experiments/gap.json")
@@ -169,8 +168,8 @@ def main(argv: list[str] | None = None) -> int:
         for block in range(blocks)
     ]
     held: dict[str, list[bool]] = {row: [] for row in arguments.rows}
-    bar = progress(jobs, "batches")
-    for (_, row, *_), found in zip(bar, shared(episodes, jobs, arguments.workers), strict=True):
+    batches = shared(episodes, jobs, arguments.workers, "batches")
+    for (_, row, *_), found in zip(jobs, batches, strict=True):
         held[row] += found
     cells = []
     for row, mine in held.items():

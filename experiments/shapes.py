@@ -20,7 +20,6 @@ from hpac_gym.evaluation.statistics import paired_difference, success_counts
 from hpac_gym.evaluation.workers import shared
 from hpac_gym.output import markdown, write_text
 from hpac_gym.policies.loading import needed_options
-from hpac_gym.progress import progress
 from hpac_gym.registration import GRASP_ANY
 
 OUT = Path("docs/results/experiments/shapes.json")
@@ -182,10 +181,8 @@ def main(argv: list[str] | None = None) -> int:
     names = [SCRIPTED, *arguments.policy]
     jobs = [(name, shape, arguments.body, arguments.episodes) for name in names for shape in SHAPES]
     held: dict[str, dict[str, list[bool]]] = {name: {} for name in names}
-    shown = progress(jobs, "shapes")
-    for (name, shape, *_), found in zip(
-        shown, shared(grasped, jobs, arguments.workers), strict=True
-    ):
+    done = shared(grasped, jobs, arguments.workers, "shapes")
+    for (name, shape, *_), found in zip(jobs, done, strict=True):
         held[name][shape] = found
     cells = [_cell(name, held[name], held[SCRIPTED]) for name in names]
     words = f"--body {arguments.body} --episodes {arguments.episodes}"

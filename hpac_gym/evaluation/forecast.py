@@ -20,7 +20,6 @@ from hpac_gym.evaluation.statistics import predicted_rate
 from hpac_gym.evaluation.workers import shared
 from hpac_gym.model import HPAC, Hand, load_hand
 from hpac_gym.policies.loading import NAMES, NORMALIZE, load_policy, needed_options
-from hpac_gym.progress import progress
 
 NOMINAL = "nominal"
 EPISODES = 50
@@ -95,10 +94,9 @@ def forecast(
             hands, range(seed_start, seed_start + len(hands) * episodes, episodes), strict=True
         )
     ]
-    bar = progress(jobs, "virtual hands")
     counts = [
         sum(episode.success for (episode,) in rows)
-        for _, rows in zip(bar, shared(run_block, jobs, workers), strict=True)
+        for rows in shared(run_block, jobs, workers, "virtual hands")
     ]
     return Forecast.of_counts(counts, episodes, of)
 

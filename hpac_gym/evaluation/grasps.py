@@ -24,7 +24,6 @@ from hpac_gym.evaluation.workers import shared
 from hpac_gym.output import markdown, writable_folder, write_text
 from hpac_gym.policies import Policy
 from hpac_gym.policies.loading import NAMES, NORMALIZE, about, load_policy
-from hpac_gym.progress import progress
 from hpac_gym.registration import GRASP
 from hpac_gym.tasks.grasp_data import GRASPS, NOMINAL, named_grasp
 
@@ -126,8 +125,8 @@ def benchmark(
     cells = [(policy, grasp) for grasp in grasps for policy in policies]
     jobs = [(policy, grasp, variant, part, normalize) for policy, grasp in cells for part in parts]
     trials_of: dict[tuple[str, str], list[Trial]] = {cell: [] for cell in cells}
-    shown = progress(jobs, "grasps")
-    for (policy, grasp, *_), trials in zip(shown, shared(run_trials, jobs, workers), strict=True):
+    done = shared(run_trials, jobs, workers, "grasps")
+    for (policy, grasp, *_), trials in zip(jobs, done, strict=True):
         trials_of[policy, grasp] += trials
     return [Row(grasp, policy, tuple(trials_of[policy, grasp]), variant) for policy, grasp in cells]
 
@@ -234,7 +233,7 @@ def run(options: argparse.Namespace) -> int:
         (options.policy, row.grasp, seed, variant, options.normalize)
         for row, seed in zip(shown, seeds, strict=True)
     ]
-    seen = zip(progress(shown, "pictures"), shared(portrait, jobs, options.workers), strict=True)
+    seen = zip(shown, shared(portrait, jobs, options.workers, "pictures"), strict=True)
     write_pictures(options.out, {row.grasp: picture for row, picture in seen})
     print(json.dumps(result, indent=2) if options.json else table(rows))
     print(f"written to {options.out}", file=sys.stderr)

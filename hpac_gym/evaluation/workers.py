@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from typing import Any, TypeVar
 
 from hpac_gym.errors import HpacError
+from hpac_gym.progress import progress
 
 AHEAD = 8
 """Jobs that a pool takes for each of its processes before it waits for a result: there may be more
@@ -66,18 +67,23 @@ def worker_pool(
         pool.shutdown(cancel_futures=True)
 
 
-def shared(function: Callable[..., Result], jobs: Iterable[tuple], count: int) -> Iterator[Result]:
+def shared(
+    function: Callable[..., Result], jobs: Iterable[tuple], count: int, label: str = ""
+) -> Iterator[Result]:
     """Results of ``function(*job)`` in the order of the jobs, computed by ``count`` processes; 1 is
-    the calling process.
+    the calling process. With a label they come with a progress bar, and the jobs must be a list.
 
     Raises:
         WorkerError: As in `worker_pool`.
     """
-    if count == 1:
+    if label:
+        done = shared(function, jobs, count)
+        yield from (result for _, result in zip(progress(jobs, label), done, strict=True))
+    elif count == 1:
         yield from (function(*job) for job in jobs)
-        return
-    with worker_pool(count) as work:
-        yield from work(function, jobs)
+    else:
+        with worker_pool(count) as work:
+            yield from work(function, jobs)
 
 
 @contextmanager

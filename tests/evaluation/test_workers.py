@@ -3,12 +3,14 @@
 import itertools
 import os
 import signal
+import sys
 import threading
 import time
 from concurrent.futures import ProcessPoolExecutor
 
 import pytest
 
+from hpac_gym import progress
 from hpac_gym.errors import WorkspaceError
 from hpac_gym.evaluation.workers import AHEAD, WorkerError, shared, worker_pool
 
@@ -32,6 +34,17 @@ def test_one_process_works_in_order_and_raises_errors():
     assert list(shared(product, JOBS, 1)) == DONE
     with pytest.raises(WorkspaceError, match="0 rad is above 2 rad"):
         list(shared(refuse, JOBS, 1))
+
+
+def test_a_label_shows_how_many_jobs_are_done_on_a_terminal(capsys, monkeypatch):
+    monkeypatch.setattr(progress, "_PATIENCE", 0.0)
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    assert list(shared(product, JOBS, 1)) == DONE
+    assert capsys.readouterr().err == ""
+    assert list(shared(product, JOBS, 1, "products")) == DONE
+    seen = capsys.readouterr().err
+    assert "products" in seen
+    assert "7/7" in seen
 
 
 def test_workers_give_results_in_order_and_errors_and_tell_when_one_is_ended_from_outside():
