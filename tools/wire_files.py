@@ -8,9 +8,10 @@ from pathlib import Path
 
 from hpac_gym.bridge import protocol
 from hpac_gym.bridge.frame import Frame, cobs_decode, cobs_encode, encode
-from hpac_gym.bridge.limits import limits_hash, servo_limits
+from hpac_gym.bridge.limits import ServoLimits, limits_hash, servo_limits
 from hpac_gym.bridge.protocol import MESSAGES
 from hpac_gym.model import HPAC, SERVOS, Hand
+from hpac_gym.output import markdown
 
 Vectors = list[tuple[str, str, bytes]]
 """Test vectors: name, verdict, bytes on the wire."""
@@ -136,56 +137,57 @@ def wire_tables(hand: Hand, rows: Vectors) -> str:
     """The tables of docs/wire.md: messages with their fields, enums, constants, servo limits, test
     vectors.
     """
-    lines = [
-        *_message_rows("message", MESSAGES),
-        "",
-    ]
-    for name, values in protocol.DESCRIPTION["enum"].items():
-        lines += [f"| {name} | code | meaning |", "| --- | --- | --- |"]
-        lines += [
-            f"| {key} | {value} | {_comment('enum.' + name, key)} |"
-            for key, value in values.items()
-        ]
-        lines.append("")
-    lines += ["| constant | value | meaning |", "| --- | --- | --- |"]
-    for table in ("constants", "pulse", "load"):
-        prefix = "" if table == "constants" else f"{table}."
-        lines += [
-            f"| {prefix}{key} | {value:,} | {_comment(table, key)} |"
-            for key, value in protocol.DESCRIPTION[table].items()
-        ]
-    lines += [
-        "",
-        "| servo | range [rad] | rate limit [rad/s] | pulse at either end [µs] |",
-        "| --- | --- | --- | --- |",
-    ]
-    for s in servo_limits(hand):
-        ends = [
-            (s.centre_ns + (end - s.centre_urad) * s.ns_per_rad / 1e6) / 1e3
-            for end in (s.min_urad, s.max_urad)
-        ]
-        lines.append(
-            f"| {s.name} | {s.min_urad / 1e6:g} … {s.max_urad / 1e6:g} | {s.rate_urad_s / 1e6:g} "
-            f"| {ends[0]:.1f} … {ends[1]:.1f} |"
+    enums = [
+        markdown(
+            (name, "code", "meaning"),
+            [(key, value, _comment(f"enum.{name}", key)) for key, value in values.items()],
         )
-    lines += ["", f"Limits hash of this table without trims: 0x{limits_hash(hand):08x}.", ""]
-    lines += ["| vector | verdict | on the wire |", "| --- | --- | --- |"]
-    lines += [f"| {name} | {verdict} | `{wire.hex()}` |" for name, verdict, wire in rows]
-    return "\n".join(lines) + "\n"
+        for name, values in protocol.DESCRIPTION["enum"].items()
+    ]
+    constants = [
+        (f"{prefix}{key}", f"{value:,}", _comment(table, key))
+        for table, prefix in (("constants", ""), ("pulse", "pulse."), ("load", "load."))
+        for key, value in protocol.DESCRIPTION[table].items()
+    ]
+    tables = [
+        markdown(
+            ("message", "code", "from", "payload", "bytes", "meaning"),
+            map(_message_row, MESSAGES.values()),
+        ),
+        *enums,
+        markdown(("constant", "value", "meaning"), constants),
+        markdown(
+            ("servo", "range [rad]", "rate limit [rad/s]", "pulse at either end [µs]"),
+            map(_limits_row, servo_limits(hand)),
+        ),
+        f"Limits hash of this table without trims: 0x{limits_hash(hand):08x}.",
+        markdown(
+            ("vector", "verdict", "on the wire"),
+            [(name, verdict, f"`{wire.hex()}`") for name, verdict, wire in rows],
+        ),
+    ]
+    return "\n\n".join(tables) + "\n"
 
 
-def _message_rows(title: str, messages: dict[str, protocol.Message]) -> list[str]:
-    lines = [
-        f"| {title} | code | from | payload | bytes | meaning |",
-        "| --- | --- | --- | --- | --- | --- |",
+def _message_row(message: protocol.Message) -> tuple[object, ...]:
+    fields = ", ".join(f"`{_type_name(field)} {field.name}`" for field in message.fields) or "–"
+    source = "host" if message.from_host else "hand"
+    code = f"0x{message.code:02x}"
+    return message.name, code, source, fields, message.length, message.meaning
+
+
+def _limits_row(limits: ServoLimits) -> tuple[str, ...]:
+    least, most = limits.min_urad, limits.max_urad
+    ends = [
+        (limits.centre_ns + (end - limits.centre_urad) * limits.ns_per_rad / 1e6) / 1e3
+        for end in (least, most)
     ]
-    for message in messages.values():
-        fields = ", ".join(f"`{_type_name(field)} {field.name}`" for field in message.fields) or "–"
-        source = "host" if message.from_host else "hand"
-        lines.append(
-            f"| {message.name} | 0x{message.code:02x} | {source} | {fields} | {message.length} | {message.meaning} |"
-        )
-    return lines
+    return (
+        limits.name,
+        f"{least / 1e6:g} … {most / 1e6:g}",
+        f"{limits.rate_urad_s / 1e6:g}",
+        f"{ends[0]:.1f} … {ends[1]:.1f}",
+    )
 
 
 def _comment(table: str, key: str) -> str:
