@@ -139,16 +139,11 @@ class Body:
         still = _links(digit, rest_angles(self._servo))
         places = []
         for name, glued in self._frames:
-            if name in links:
-                position, rotation, phalanx = links[name]
-                since = rotation @ still[name][1].T
+            link = "thumb_cmc" if name == "metacarpal" else name
+            if link in links:
+                position, rotation, phalanx = links[link]
+                since = rotation @ still[link][1].T
                 middle = position + rotation @ np.array(
-                    [-(phalanx.capsule.radius + STAND_OFF), 0.0, phalanx.length / 2]
-                )
-            elif name == "metacarpal":
-                position, since, phalanx = links["thumb_cmc"]
-                since = since @ still["thumb_cmc"][1].T
-                middle = position + links["thumb_cmc"][1] @ np.array(
                     [-(phalanx.capsule.radius + STAND_OFF), 0.0, phalanx.length / 2]
                 )
             else:
