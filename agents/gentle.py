@@ -37,6 +37,10 @@ from hpac_gym.registration import GENTLE
 
 WORLDS = 128
 HIDDEN = 128
+UPDATES = 250
+"""Of a round of imitation; the last has three times as many."""
+WARMING = 10
+"""First rollouts, in which the critic alone learns."""
 
 
 class Hands(VecEnvWrapper):
@@ -166,7 +170,7 @@ def learner(env: Hands, seed: int) -> PPO:
     )
 
 
-def imitate(model: PPO, env: Hands, rounds: int, seed: int, updates: int = 250) -> None:
+def imitate(model: PPO, env: Hands, rounds: int, seed: int) -> None:
     """DAgger: the policy learns what the rule would have done where the policy has been."""
     rng = np.random.default_rng(seed)
     policy = model.policy
@@ -193,7 +197,7 @@ def imitate(model: PPO, env: Hands, rounds: int, seed: int, updates: int = 250) 
         data = torch.from_numpy(scaled(np.concatenate(shown), env.mean, env.scale)).float()
         told = torch.from_numpy(np.concatenate(wanted)).float()
         optimizer.param_groups[0]["lr"] = 1e-3 * (1 - number / rounds)
-        count = updates * (3 if number == rounds - 1 else 1)
+        count = UPDATES * (3 if number == rounds - 1 else 1)
         for part in rng.integers(len(data), size=(count, 1024)):
             decided = torch.tanh(policy.mean(data[part]).clamp(-MEAN_CLIP, MEAN_CLIP))
             loss = (decided - told[part]).square().mean()
@@ -206,9 +210,8 @@ def imitate(model: PPO, env: Hands, rounds: int, seed: int, updates: int = 250) 
 class Warm(BaseCallback):
     """Lets the critic alone learn for the first rollouts, and tells how training goes."""
 
-    def __init__(self, rollouts: int = 10) -> None:
+    def __init__(self) -> None:
         super().__init__()
-        self._rollouts = rollouts
         self._ended: list[bool] = []
 
     def _on_step(self) -> bool:
@@ -220,7 +223,7 @@ class Warm(BaseCallback):
     def _on_rollout_end(self) -> None:
         number = self.num_timesteps // (STEPS * WORLDS)
         policy = self.model.policy
-        learns = number > self._rollouts
+        learns = number > WARMING
         for part in (policy.mlp_extractor.actor, policy.action_net):
             part.requires_grad_(learns)
         policy.log_std.requires_grad_(learns)

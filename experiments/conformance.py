@@ -128,9 +128,9 @@ def blocked_fingertip(
 
 
 def held_cylinder(
-    make: Factory, settings: HandSettings, world: WorldSettings, seconds: float = 10.0
+    make: Factory, settings: HandSettings, world: WorldSettings
 ) -> tuple[float, float]:
-    """A cylinder of 0.15 kg, 50 mm wide, is grasped on its post, lifted by 60 mm and held.
+    """A cylinder of 0.15 kg, 50 mm wide, is grasped on its post, lifted by 60 mm and held for 10 s.
 
     Returns:
         Displacement in the hand while it is held [m], infinite if it is lost; largest joint speed
@@ -148,7 +148,7 @@ def held_cylinder(
     path[0, : len(share), 2] *= minimum_jerk(share)
     hands.advance(path)
     start = hands.state()
-    hands.advance(np.broadcast_to(path[:, -1:], (1, round(seconds / world.dt), 3)))
+    hands.advance(np.broadcast_to(path[:, -1:], (1, round(10.0 / world.dt), 3)))
     end = hands.state()
     hands.engine.close()
     held = (

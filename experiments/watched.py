@@ -49,9 +49,7 @@ LENSES = {
 }
 
 
-def object_scene(
-    rng: np.random.Generator, cards: tuple[Piece, Piece] = (OBJECT_CARD, HAND_CARD)
-) -> tuple[np.ndarray, Array, Array]:
+def object_scene(rng: np.random.Generator) -> tuple[np.ndarray, Array, Array]:
     """A picture of an upright object before the hand, and the object's true position (3,) [m] and
     rotation (3, 3) in the hand's frame.
     """
@@ -68,8 +66,8 @@ def object_scene(
     across = np.array([rng.choice([-1.0, 1.0]), 0.0, rng.uniform(-0.3, 0.3)])
     camera = Pinhole(middle + DISTANCE * np.array(direction), middle, across)
     pieces = [
-        (cards[0], on_object, rotation[:, 0], rotation[:, 1]),
-        (cards[1], on_hand, np.array([-1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])),
+        (OBJECT_CARD, on_object, rotation[:, 0], rotation[:, 1]),
+        (HAND_CARD, on_hand, np.array([-1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])),
     ]
     return camera.picture(pieces, rng), position, rotation
 

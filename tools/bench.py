@@ -34,10 +34,10 @@ class Row:
     """Cost of the figure over the cost of its counterpart: above 1 is slower."""
 
 
-def seconds_per_call(call: Callable[[], object], calls: int, rounds: int = ROUNDS) -> float:
+def seconds_per_call(call: Callable[[], object], calls: int) -> float:
     """Time of one call in the best of several rounds, the one least disturbed by other load [s]."""
     best = float("inf")
-    for _ in range(rounds):
+    for _ in range(ROUNDS):
         start = perf_counter()
         for _ in range(calls):
             call()

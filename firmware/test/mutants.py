@@ -188,8 +188,9 @@ def _judge_once(
     return noticed[_key(mutant)]
 
 
-def wilson(hits: int, count: int, z: float = 1.96) -> tuple[float, float]:
+def wilson(hits: int, count: int) -> tuple[float, float]:
     """Wilson's 95 % interval of a share."""
+    z = 1.96
     share = hits / count
     square = z * z / count
     middle = share + square / 2

@@ -104,8 +104,8 @@ def test_a_tendon_that_slips_half_way_is_doubted_or_refused(record, calibrate, s
     assert ("at most 10 times is accepted" in said.err) == (status == 2)
 
 
-def of_servo(record, name):
-    return record[record.swept == SERVOS.index(name)]
+def of_index(record):
+    return record[record.swept == SERVOS.index("index_mcp")]
 
 
 def with_last_rest(record, degrees):
@@ -118,7 +118,7 @@ def with_last_rest(record, degrees):
 
 def test_rests_that_differ_are_told_and_bend_no_curve(record, hidden, calibrate, monkeypatch):
     """With a straight line through both rests, the control, the file is off by more than 1°."""
-    index = of_servo(record, "index_mcp")
+    index = of_index(record)
     spoiled = with_last_rest(index, 2.0)
     status, said = calibrate(spoiled)
     assert status == 0
@@ -166,7 +166,7 @@ def test_a_camera_that_is_not_square_shows_in_the_second_sweep(record, hidden, c
     """Alone, the fit takes most of it for geometry, and tells the rest as scatter."""
     second = metal_sweeps([hidden], 2, servos=("index_mcp",))[0]
     write_sweep(tmp_path / "second.csv", second)
-    index = of_servo(record, "index_mcp")
+    index = of_index(record)
     askew = index.with_joint_pos(index.joint_pos + np.deg2rad(2.5) * np.sin(2 * index.joint_pos))
     alone = calibrate(askew)[1].out
     assert "the points scatter" in alone
@@ -192,13 +192,13 @@ def one_point_ahead(record):
 
 def later(record):
     """A column of another time, in a record with the frames between the points."""
-    index = of_servo(record, "index_mcp")
+    index = of_index(record)
     return replace(index, servo=np.vstack([index.servo[4:], index.servo[-4:]]))
 
 
 def markers_exchanged(record):
     """For three seconds."""
-    index = of_servo(record, "index_mcp")
+    index = of_index(record)
     swapped = index.joint_pos.copy()
     pair = [JOINT_INDEX["index_pip"], JOINT_INDEX["index_dip"]]
     rows = (index.time > 30) & (index.time < 33)
@@ -208,14 +208,14 @@ def markers_exchanged(record):
 
 def wobbling(record):
     """With an amplitude of 1°, from point to point, for all joints."""
-    index = of_servo(record, "index_mcp")
+    index = of_index(record)
     wobble = np.deg2rad(1.0) * np.sin(2.4 * index.point) * (index.point >= 0)
     return index.with_joint_pos(index.joint_pos + wobble[:, None])
 
 
 def root_scaled(record):
     """All other joints of the digit then turn too little for it."""
-    index = of_servo(record, "index_mcp")
+    index = of_index(record)
     scale = np.where(np.arange(index.joint_pos.shape[1]) == JOINT_INDEX["index_mcp"], 1.1, 1.0)
     return index.with_joint_pos(scale * index.joint_pos)
 

@@ -19,8 +19,9 @@ from hpac_gym.model import JOINTS
 from hpac_gym.model.settled import settled_joints_from_servo
 
 
-def made_up_sweep(swept: int = 1, rows: int = 30, trial: int = 0) -> Sweep:
-    """Five rows of rest, then a flexion, without noise."""
+def made_up_sweep(swept: int = 1, trial: int = 0) -> Sweep:
+    """Five rows of rest, then 25 of a flexion, without noise."""
+    rows = 30
     servo = np.zeros((rows, 6))
     servo[5:, swept] = np.linspace(0.02, 1.0, rows - 5)
     phase = (np.arange(rows) >= 5).astype(int)

@@ -24,28 +24,30 @@ from hpac_gym.model.settled import EXTENSION, FLEXION, settled_joints_from_servo
 
 REFERENCE = Reference.of()
 SERVO = np.linspace(0, 1, 11)
+WIDTH = 0.02
+"""Hysteresis of the made-up trials [rad]."""
 
 
-def made_up_trials(width: float, spread: float, count: int = 40) -> JointTrials:
+def made_up_trials(spread: float, count: int = 40) -> JointTrials:
     rng = np.random.default_rng(0)
     flexion = SERVO + spread * rng.standard_normal((count, len(SERVO)))
     return JointTrials(
-        SERVO, flexion, SERVO + width + spread * rng.standard_normal((count, len(SERVO)))
+        SERVO, flexion, SERVO + WIDTH + spread * rng.standard_normal((count, len(SERVO)))
     )
 
 
 def test_width_and_spread_of_made_up_trials_come_back():
-    joints = {"index_dip": made_up_trials(width=0.02, spread=0.005)}
+    joints = {"index_dip": made_up_trials(spread=0.005)}
     width, spread = rows_of(trials.COLUMNS, joints)["index_dip"].values()
-    assert width.low < np.degrees(0.02) < width.high
+    assert width.low < np.degrees(WIDTH) < width.high
     assert spread.low < np.degrees(0.005) < spread.high
     assert width.high - width.low < 0.2 * width.middle
 
 
 def test_the_turning_points_do_not_count_for_the_width():
-    joint = made_up_trials(width=0.02, spread=0.0, count=2)
+    joint = made_up_trials(spread=0.0, count=2)
     joint.extension[:, [0, -1]] = 9.0
-    assert trials.hysteresis_width(joint) == pytest.approx(0.02)
+    assert trials.hysteresis_width(joint) == pytest.approx(WIDTH)
 
 
 @pytest.mark.slow

@@ -31,24 +31,20 @@ def scene():
     made.close()
 
 
-def settled(setup: SceneSetup, synergy: np.ndarray, seconds: float) -> np.ndarray:
-    """The joints some time after a command, in free space, shape (15,) [rad]."""
+def settled(setup: SceneSetup, synergy: np.ndarray) -> np.ndarray:
+    """The joints 3 s after a command, in free space, shape (15,) [rad]."""
     simulation = Simulation(make_engine("pybullet", settings=FREE))
     simulation.reset([0], [setup])
     simulation.command(servo_from_synergy(synergy)[None], 0.4)
-    simulation.rest(seconds)
+    simulation.rest(3.0)
     joints = simulation.state().joint_pos[0]
     simulation.engine.close()
     return joints
 
 
 def test_the_hand_opens_by_its_springs():
-    assert (
-        np.degrees(
-            settled(SceneSetup(None, synergy=0.9 * HPAC.synergy_max), np.zeros(6), 3.0)
-        ).max()
-        < 0.5
-    )
+    closed = SceneSetup(None, synergy=0.9 * HPAC.synergy_max)
+    assert np.degrees(settled(closed, np.zeros(6))).max() < 0.5
 
 
 def test_joint_friction_holds_a_finger_that_is_let_go():
@@ -58,7 +54,7 @@ def test_joint_friction_holds_a_finger_that_is_let_go():
     setup = SceneSetup(
         None, synergy=0.5 * HPAC.synergy_max, hand_settings=HandSettings(joint_friction=0.01)
     )
-    left = np.degrees(settled(setup, np.zeros(6), 3.0)[JOINT_INDEX["index_mcp"]])
+    left = np.degrees(settled(setup, np.zeros(6))[JOINT_INDEX["index_mcp"]])
     assert 5.0 < left < 17.0
 
 

@@ -141,8 +141,8 @@ def state_of(setup: SceneSetup, joint_pos: np.ndarray) -> SceneState:
     return state
 
 
-def senses(setup: SceneSetup, noise: CameraNoise = CameraNoise(0, 0, 0), **options) -> Senses:
-    made = Senses(1, noise, FRONT, CENTRE, points=True, **options)
+def senses(setup: SceneSetup, **options) -> Senses:
+    made = Senses(1, CameraNoise(0, 0, 0), FRONT, CENTRE, points=True, **options)
     made.start(0, setup, 1.0, np.random.default_rng(0))
     return made
 
