@@ -1,6 +1,9 @@
 """Commands called by tests as the command line calls them, but with their exceptions."""
 
 import argparse
+from collections.abc import Callable
+
+from hpac_gym.command import USAGE_ERROR
 
 
 def parsed(command, *words: object) -> argparse.Namespace:
@@ -14,3 +17,16 @@ def called(command, *words: object) -> int:
     """The exit status of a command."""
     arguments = parsed(command, *words)
     return arguments.run(arguments)
+
+
+def refused(capsys, command: Callable[[], int]) -> str:
+    """The one line that a command prints when it refuses its words."""
+    try:
+        status = command()
+    except SystemExit as left:
+        status = left.code
+    said = capsys.readouterr()
+    (line,) = said.err.splitlines()
+    assert (status, said.out, said.err) == (USAGE_ERROR, "", f"{line}\n")
+    assert line.startswith("error: ")
+    return line

@@ -19,6 +19,7 @@ import hpac_gym
 from hpac import COMMANDS, GROUPS, main
 from hpac_gym.command import INTERRUPTED, USAGE_ERROR, Parser, run, whole_number
 from hpac_gym.errors import EXTRA_OF, WorkspaceError
+from tests.options import refused
 
 POSED = ["--object", "cylinder:0.02,0.05", "--pose", "0.05,0.005,0.11"]
 NAMES = [command.name for command in COMMANDS]
@@ -151,15 +152,7 @@ def test_the_version_is_that_of_the_package():
 )
 def test_a_mistake_is_one_line_and_status_2(words, named, capsys):
     """In this process, which has loaded the packages already."""
-    try:
-        status = main(words)
-    except SystemExit as left:
-        status = left.code
-    said = capsys.readouterr()
-    assert (status, said.out) == (USAGE_ERROR, "")
-    (line,) = said.err.splitlines()
-    assert line.startswith("error: ")
-    assert named in line
+    assert named in refused(capsys, lambda: main(words))
 
 
 def forgetful(env):

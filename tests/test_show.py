@@ -10,6 +10,7 @@ import pytest
 
 import hpac
 from hpac_gym.policies.loading import shipped_for
+from tests.options import refused
 
 
 def test_a_trained_policy_is_shown_on_a_page():
@@ -65,10 +66,8 @@ def test_a_film_is_written(tmp_path, capsys):
 
 def test_a_film_without_its_encoder_names_the_extra(tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
-    assert hpac.main(["show", "--record", str(tmp_path / "film.mp4")]) == 2
-    said = capsys.readouterr().err
+    said = refused(capsys, lambda: hpac.main(["show", "--record", str(tmp_path / "film.mp4")]))
     assert said.startswith("error: this command needs more: pip install '.[video]'")
-    assert said.count("\n") == 1
 
 
 @pytest.mark.parametrize(
@@ -83,7 +82,4 @@ def test_a_film_without_its_encoder_names_the_extra(tmp_path, capsys, monkeypatc
 )
 def test_wrong_words_are_one_line(words, says, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert hpac.main(["show", "--episodes", "1", *words]) == 2
-    said = capsys.readouterr().err
-    assert says in said
-    assert len(said.splitlines()) == 1
+    assert says in refused(capsys, lambda: hpac.main(["show", "--episodes", "1", *words]))

@@ -30,6 +30,7 @@ from hpac_gym.output import OutputError
 from hpac_gym.policies.loading import load_policy
 from hpac_gym.registration import GRASP, GRASP_ANY, GRASP_TYPE, POSTURE
 from hpac_gym.tasks.cameras import CameraNoise
+from tests.options import refused
 
 CAN = object_of("cylinder:0.02,0.05")
 PLACE = Pose(np.array([0.05, 0.005, 0.11]))
@@ -226,10 +227,7 @@ def test_an_episode_leaves_a_log_and_a_hand_without_pulses(tmp_path, capsys):
 )
 def test_wrong_words_are_one_line(words, says, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    status, said = told(capsys, *words)
-    assert status == 2
-    assert says in said.err
-    assert len(said.err.splitlines()) == 1
+    assert says in refused(capsys, lambda: hpac.main(["deploy", *words]))
 
 
 # --- what goes wrong on the way: the hand is opened and disarmed first
@@ -502,7 +500,4 @@ def test_a_log_that_was_cut_short_is_read(log, capsys):
 def test_what_is_no_log_is_one_line(tmp_path, capsys, text, says):
     path = tmp_path / "log.jsonl"
     path.write_text(text)
-    status, said = replayed(capsys, path)
-    assert status == 2
-    assert says in said.err
-    assert len(said.err.splitlines()) == 1
+    assert says in refused(capsys, lambda: hpac.main(["replay", str(path)]))

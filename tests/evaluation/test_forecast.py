@@ -17,6 +17,7 @@ from hpac_gym.evaluation.forecast import Forecast
 from hpac_gym.evaluation.statistics import predicted_rate
 from hpac_gym.model import HPAC, JOINT_INDEX, hand_to_toml, load_hand
 from hpac_gym.model.settled import settled_joints_from_servo
+from tests.options import refused
 
 
 @pytest.fixture(scope="module")
@@ -144,13 +145,12 @@ def test_its_json_has_the_counts_and_the_interval(file, capsys):
 def test_a_file_without_a_sweep_and_one_of_another_hand_are_refused(file, tmp_path, capsys):
     alone = tmp_path / "alone.toml"
     alone.write_text(file.read_text())
-    assert main(["forecast", str(alone)]) == 2
-    assert "which 'hpac calibrate' writes beside" in capsys.readouterr().err
+    said = refused(capsys, lambda: main(["forecast", str(alone)]))
+    assert "which 'hpac calibrate' writes beside" in said
     file.write_text(hand_to_toml(HPAC))
-    assert main(["forecast", str(file)]) == 2
-    assert "is of another hand than" in capsys.readouterr().err
+    said = refused(capsys, lambda: main(["forecast", str(file)]))
+    assert "is of another hand than" in said
     (tmp_path / "hand-report" / "draws.json").write_text(
         '{"zero": [0, 0, 0, 0, 0, 0], "draws": {}}'
     )
-    assert main(["forecast", str(file)]) == 2
-    assert "cannot be read" in capsys.readouterr().err
+    assert "cannot be read" in refused(capsys, lambda: main(["forecast", str(file)]))
