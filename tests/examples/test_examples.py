@@ -1,19 +1,26 @@
-"""Each example runs in a folder of its own, without the checkout, and what it writes is a policy."""
+"""Each example runs in a folder of its own, without the checkout, and what it writes is a policy; the
+notebook and the settings for RL Zoo do what they say.
+"""
 
+import json
 import os
 import re
 import shutil
 import subprocess
 import sys
+from inspect import signature
 from pathlib import Path
 
 import gymnasium
 import pytest
+import yaml
 
 import hpac_gym
 from hpac_gym.policies.loading import load_policy
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+NOTEBOOK = EXAMPLES / "quickstart.ipynb"
+ZOO = EXAMPLES / "rl_zoo3_ppo.yml"
 WORDS = {
     "one_step_sac": ["--episodes=40", "--random-episodes=16", "--num-envs=8", "--batch-size=8"],
     "ppo": ["--total-steps=300", "--num-envs=2", "--rollout=70", "--batch-size=64", "--epochs=1"],
@@ -51,3 +58,47 @@ def test_an_example_trains_a_policy_wherever_it_is_copied(name, tmp_path):
     with gymnasium.make("hpac_gym:HPAC-Grasp-v0", engine="mujoco") as env:
         action, _ = load_policy(str(written), env).predict(env.reset(seed=0)[0])
         assert action in env.action_space
+
+
+def test_the_notebook_runs_and_holds_no_outputs(tmp_path):
+    cells = [
+        cell
+        for cell in json.loads(NOTEBOOK.read_text(encoding="utf-8"))["cells"]
+        if cell["cell_type"] == "code"
+    ]
+    assert not any(cell["outputs"] for cell in cells)
+    program = "\n".join("".join(cell["source"]) for cell in cells)
+    done = subprocess.run(
+        [sys.executable, "-c", f"import matplotlib; matplotlib.use('agg')\n{program}"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    outcome, learned, scripted, terms = done.stdout.splitlines()
+    assert outcome.startswith("success held for")
+    assert learned.startswith("learned ")
+    assert int(learned.split()[1]) > int(scripted.split()[1])
+    assert "effort" in terms
+
+
+@pytest.mark.parametrize("env_id", yaml.safe_load(ZOO.read_text(encoding="utf-8")))
+def test_the_settings_for_rl_zoo_make_a_learner(env_id):
+    """As RL Zoo reads them: schedules and keyword arguments as text, its own keys apart."""
+    PPO = pytest.importorskip("stable_baselines3").PPO
+    from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
+
+    settings = yaml.safe_load(ZOO.read_text(encoding="utf-8"))[env_id]
+    for own in ("normalize", "n_envs", "n_timesteps"):
+        assert settings.pop(own) > 0
+    settings["policy_kwargs"] = eval(settings["policy_kwargs"])
+    kind, _, rate = settings["learning_rate"].partition("_")
+    assert kind == "lin"
+    settings["learning_rate"] = float(rate)
+    settings["batch_size"] = 64  # of one environment, not sixteen
+    assert set(settings) <= set(signature(PPO).parameters)
+    envs = DummyVecEnv([lambda: gymnasium.make(env_id, engine="mujoco")])
+    model = PPO(env=VecNormalize(envs, gamma=settings["gamma"]), device="cpu", **settings)
+    model.learn(settings["n_steps"])
+    assert model.num_timesteps == settings["n_steps"]
