@@ -154,13 +154,16 @@ def test_ctrl_c_at_every_fourth_line_leaves_no_pulses(short_arming):
     check_ctrl_c(list(range(1, session_with_ctrl_c(0)[1], 4)))
 
 
-def test_a_signal_that_waited_for_the_end_is_delivered_then(virtual_hand):
-    class Signalling(VirtualTransport):
-        def write(self, data):
-            if decode(data[1:-1]).name == "clear":
-                signal.raise_signal(signal.SIGTERM)
-            super().write(data)
+class Signalling(VirtualTransport):
+    """Raises SIGTERM while the link clears the hand."""
 
+    def write(self, data):
+        if decode(data[1:-1]).name == "clear":
+            signal.raise_signal(signal.SIGTERM)
+        super().write(data)
+
+
+def test_a_signal_that_waited_for_the_end_is_delivered_then(virtual_hand):
     link = HandLink(lambda: Signalling(virtual_hand))
     link.connect()
     link.arm(Action.hold)
@@ -329,12 +332,6 @@ def test_a_link_elsewhere_than_in_the_main_thread_is_ended_too(host_board, whole
 def test_a_signal_during_the_release_by_a_closed_generator_or_cancelled_task_is_delivered(
     virtual_hand, ending
 ):
-    class Signalling(VirtualTransport):
-        def write(self, data):
-            if decode(data[1:-1]).name == "clear":
-                signal.raise_signal(signal.SIGTERM)
-            super().write(data)
-
     with pytest.raises(SystemExit), HandLink(lambda: Signalling(virtual_hand)) as link:
         link.arm(Action.hold)
         raise ending
@@ -393,14 +390,8 @@ def test_a_killed_program_leaves_the_hand_safe_within_the_watchdog_time(host_boa
             link.arm()
 
 
-def test_a_link_that_nobody_closes_is_closed_at_the_end_of_the_program(host_board):
-    whole = "link.connect(); link.arm(Action.hold); print('armed', flush=True)"
-    assert run_against(host_board, "", whole=whole) == (0, "")
-    assert not host_board.pulses().any()
-
-
-def test_a_link_that_is_opened_while_the_program_ends_is_closed(host_board):
-    whole = """
+UNCLOSED = "link.connect(); link.arm(Action.hold); print('armed', flush=True)"
+OPENED_LATE = """
 import atexit
 
 def late():
@@ -410,6 +401,12 @@ def late():
 
 atexit.register(late)
 """
+
+
+@pytest.mark.parametrize(
+    "whole", [UNCLOSED, OPENED_LATE], ids=["nobody closes it", "opened while the program ends"]
+)
+def test_a_link_that_is_open_at_the_end_of_the_program_is_closed(host_board, whole):
     assert run_against(host_board, "", whole=whole) == (0, "")
     assert not host_board.pulses().any()
 
