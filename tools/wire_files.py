@@ -177,14 +177,13 @@ def _message_row(message: protocol.Message) -> tuple[object, ...]:
 
 
 def _limits_row(limits: ServoLimits) -> tuple[str, ...]:
-    least, most = limits.min_urad, limits.max_urad
     ends = [
         (limits.centre_ns + (end - limits.centre_urad) * limits.ns_per_rad / 1e6) / 1e3
-        for end in (least, most)
+        for end in (limits.min_urad, limits.max_urad)
     ]
     return (
         limits.name,
-        f"{least / 1e6:g} … {most / 1e6:g}",
+        f"{limits.min_urad / 1e6:g} … {limits.max_urad / 1e6:g}",
         f"{limits.rate_urad_s / 1e6:g}",
         f"{ends[0]:.1f} … {ends[1]:.1f}",
     )
