@@ -10,28 +10,11 @@ from agents import train
 from agents.recorded import COLUMNS, Recorded
 from agents.trials import Worlds
 from hpac_gym.policies import PolicyFile, read_policy, write_policy
+from tests.agents.small import SMALL, train_here
 from tests.processes import once_alive
 
-SMALL = [
-    "--num-envs",
-    "4",
-    "--hidden",
-    "16",
-    "--batch-size",
-    "16",
-    "--random-episodes",
-    "8",
-    "--checkpoint-every",
-    "8",
-]
 SET_UPS = {"twin": "mujoco/twin", "both": "mujoco/light,mujoco/twin"}
 TOGETHER = ["grasp", "--set-ups", "mujoco/twin,mujoco/light", *SMALL]
-
-
-def run(*words) -> int:
-    with pytest.MonkeyPatch.context() as monkeypatch:
-        monkeypatch.setattr(train, "_stop_on_signal", lambda progress: None)
-        return train.main([str(word) for word in words])
 
 
 def trials(folder) -> dict[str, np.ndarray]:
@@ -48,32 +31,26 @@ def runs(tmp_path_factory):
     """A run on the twin, one on both bodies, and one that learned from their trials."""
     folder = tmp_path_factory.mktemp("runs")
     for seed, (name, set_ups) in enumerate(SET_UPS.items()):
-        assert (
-            run(
-                "grasp",
-                "--episodes",
-                20,
-                "--seed",
-                seed,
-                "--set-ups",
-                set_ups,
-                *SMALL,
-                "--out",
-                folder / name,
-            )
-            == 0
+        train_here(
+            "grasp",
+            "--episodes",
+            20,
+            "--seed",
+            seed,
+            "--set-ups",
+            set_ups,
+            *SMALL,
+            "--out",
+            folder / name,
         )
     with pytest.MonkeyPatch.context() as monkeypatch:
         monkeypatch.setattr(Worlds, "step", None)  # no physics
-        assert (
-            run(
-                *TOGETHER,
-                "--trials-of",
-                *(folder / name for name in SET_UPS),
-                "--out",
-                folder / "together",
-            )
-            == 0
+        train_here(
+            *TOGETHER,
+            "--trials-of",
+            *(folder / name for name in SET_UPS),
+            "--out",
+            folder / "together",
         )
     return folder
 
@@ -118,11 +95,13 @@ def test_a_killed_and_resumed_run_ends_with_the_same_policy_though_its_checkpoin
     with pytest.MonkeyPatch.context() as dying:
         dying.setattr(train, "save_checkpoint", once_alive(train.save_checkpoint))
         with pytest.raises(KeyboardInterrupt):
-            run(*TOGETHER, "--trials-of", *(runs / name for name in SET_UPS), "--out", tmp_path)
+            train_here(
+                *TOGETHER, "--trials-of", *(runs / name for name in SET_UPS), "--out", tmp_path
+            )
     assert 0 < runs_of.saved_trials(tmp_path) < runs_of.saved_trials(runs / "together")
     with np.load(runs_of.latest_checkpoint(tmp_path) / "arrays.npz") as file:
         assert not set(COLUMNS) & set(file)
-    run("--resume", "--out", tmp_path)
+    train_here("--resume", "--out", tmp_path)
     hashes = {
         read_policy(folder / "policy.hpac").about["sha256"]
         for folder in (tmp_path, runs / "together")
@@ -202,7 +181,7 @@ def test_runs_that_cannot_be_learned_from_are_refused_and_kept(
         change(tmp_path / "source")
     before = sorted(tmp_path.rglob("*"))
     with pytest.raises((train.RunError, train.RecipeError), match=complaint):
-        run(
+        train_here(
             *words,
             *SMALL,
             "--trials-of",

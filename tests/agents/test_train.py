@@ -25,30 +25,15 @@ from agents.recipes import RECIPES, with_settings
 from agents.trials import training_task, worlds_of
 from hpac_gym.evaluation.evaluate import evaluate
 from hpac_gym.policies import read_policy
+from tests.agents.small import SETTINGS, SMALL, train_here
 from tests.processes import once_alive, wait_for
 
 ROOT = Path(__file__).resolve().parents[2]
-SETTINGS = {
-    "num_envs": "4",
-    "hidden": "16",
-    "batch_size": "16",
-    "random_episodes": "8",
-    "checkpoint_every": "8",
-}
-SMALL = [
-    word for name, value in SETTINGS.items() for word in (f"--{name.replace('_', '-')}", value)
-]
 
 
 def curve(folder: Path) -> list[int]:
     with (folder / "progress.csv").open() as file:
         return [int(row["episodes"]) for row in csv.DictReader(file)]
-
-
-def train_here(monkeypatch, *words, make=None) -> None:
-    """Train in this process, which has loaded the packages already; its signals stay its own."""
-    monkeypatch.setattr(train, "_stop_on_signal", lambda progress: None)
-    assert train.main([str(word) for word in words], make) == 0
 
 
 RUNS = {
@@ -72,9 +57,8 @@ RUNS = {
 def trained(tmp_path_factory) -> Path:
     """The folder of whole runs, by the names of their recipes."""
     folder = tmp_path_factory.mktemp("whole")
-    with pytest.MonkeyPatch.context() as monkeypatch:
-        for recipe, words in RUNS.items():
-            train_here(monkeypatch, *words, "--out", folder / recipe)
+    for recipe, words in RUNS.items():
+        train_here(*words, "--out", folder / recipe)
     return folder
 
 
@@ -121,11 +105,11 @@ def test_a_killed_and_resumed_training_ends_with_the_policy_of_an_uninterrupted_
     with monkeypatch.context() as dying:
         dying.setattr(train, "save_checkpoint", once_alive(train.save_checkpoint))
         with pytest.raises(KeyboardInterrupt):
-            train_here(dying, *RUNS[recipe], "--out", tmp_path)
+            train_here(*RUNS[recipe], "--out", tmp_path)
     assert 8 <= runs_of.saved_trials(tmp_path) < 16
     with (tmp_path / "progress.csv").open("a") as file:
         file.write("20,1.0,0.5,20,0.1\n2")  # after the checkpoint
-    train_here(monkeypatch, "--out", tmp_path, "--resume")
+    train_here("--out", tmp_path, "--resume")
     assert curve(tmp_path) == curve(trained / recipe)
     hashes = {
         read_policy(folder / "policy.hpac").about["sha256"]
@@ -135,7 +119,7 @@ def test_a_killed_and_resumed_training_ends_with_the_policy_of_an_uninterrupted_
 
 
 def test_a_killed_training_goes_on_from_its_last_checkpoint_and_an_interrupted_one_saves_itself(
-    tmp_path, monkeypatch, capsys
+    tmp_path, capsys
 ):
     command = [
         sys.executable,
@@ -172,7 +156,7 @@ def test_a_killed_training_goes_on_from_its_last_checkpoint_and_an_interrupted_o
     assert capsys.readouterr().err.splitlines()[-1].startswith("interrupted after")
     interrupted = state_of(tmp_path)
     aim = interrupted["episodes"] + 12
-    train_here(monkeypatch, "--out", tmp_path, "--resume", "--episodes", aim)
+    train_here("--out", tmp_path, "--resume", "--episodes", aim)
     done = state_of(tmp_path)
     assert aim <= done["episodes"] < aim + 8
     for before, after in ((killed, interrupted), (interrupted, done)):
@@ -199,9 +183,8 @@ def state_of(folder: Path) -> dict:
     return json.loads((runs_of.latest_checkpoint(folder) / "state.json").read_text())
 
 
-def test_a_time_limit_ends_a_training_cleanly(tmp_path, monkeypatch, capsys):
+def test_a_time_limit_ends_a_training_cleanly(tmp_path, capsys):
     train_here(
-        monkeypatch,
         "grasp",
         "--out",
         tmp_path,
@@ -215,12 +198,9 @@ def test_a_time_limit_ends_a_training_cleanly(tmp_path, monkeypatch, capsys):
     assert read_policy(tmp_path / "policy.hpac").about["seconds"] >= 0.6
 
 
-def test_a_training_takes_no_more_steps_than_it_may_and_the_task_that_it_is_given(
-    tmp_path, monkeypatch
-):
+def test_a_training_takes_no_more_steps_than_it_may_and_the_task_that_it_is_given(tmp_path):
     tasks = []
     train_here(
-        monkeypatch,
         "grasp",
         "--out",
         tmp_path,
@@ -237,7 +217,7 @@ def test_a_training_takes_no_more_steps_than_it_may_and_the_task_that_it_is_give
     )
 
 
-def test_a_new_run_keeps_nothing_of_the_one_that_it_replaces(tmp_path, monkeypatch):
+def test_a_new_run_keeps_nothing_of_the_one_that_it_replaces(tmp_path):
     leaves = {
         "run.json",
         "policy.hpac",
@@ -249,7 +229,7 @@ def test_a_new_run_keeps_nothing_of_the_one_that_it_replaces(tmp_path, monkeypat
     for name in (leaves - {"checkpoint-000000012", "tensorboard"}) | {"results.json", "results.md"}:
         (tmp_path / name).write_text("of the run before")
     (tmp_path / "checkpoint-000000900").mkdir()
-    train_here(monkeypatch, "grasp", "--out", tmp_path, "--overwrite", *SMALL, "--episodes", 12)
+    train_here("grasp", "--out", tmp_path, "--overwrite", *SMALL, "--episodes", 12)
     assert {path.name for path in tmp_path.iterdir()} == leaves
 
 
@@ -287,12 +267,12 @@ def test_a_run_is_not_resumed_with_fewer_trials_than_it_has(trained, tmp_path):
     assert (folder / "run.json").read_bytes() == before
 
 
-def test_what_is_beside_a_run_does_not_stop_it(trained, tmp_path, monkeypatch, capsys):
+def test_what_is_beside_a_run_does_not_stop_it(trained, tmp_path, capsys):
     """Another folder with the name of a checkpoint, and results that cannot be read."""
     folder = copytree(trained / "grasp", tmp_path / "run")
     (folder / "checkpoint-old").mkdir()
     (folder / "results.json").write_text('{"env_id": 5}')
-    train_here(monkeypatch, "--resume", "--out", folder, "--episodes", 26)
+    train_here("--resume", "--out", folder, "--episodes", 26)
     assert curve(folder)[-1] == 26
     assert "no picture: cannot read" in capsys.readouterr().err
 
@@ -305,11 +285,11 @@ def test_a_damaged_curve_ends_a_resumed_run_in_one_error_and_is_kept(trained, tm
     assert (folder / "progress.csv").read_text() == "episodes\nabc,1\n"
 
 
-def test_a_training_that_ends_before_its_first_trial_can_be_resumed(tmp_path, monkeypatch):
+def test_a_training_that_ends_before_its_first_trial_can_be_resumed(tmp_path):
     words = [*RUNS["grasp"], "--out", tmp_path]
-    train_here(monkeypatch, *words, "--time-limit", 1e-6)
+    train_here(*words, "--time-limit", 1e-6)
     assert not (tmp_path / "progress.csv").exists()
-    train_here(monkeypatch, "--resume", "--out", tmp_path)
+    train_here("--resume", "--out", tmp_path)
     assert curve(tmp_path)[-1] == 24
 
 
@@ -472,12 +452,12 @@ def test_a_task_of_ones_own_is_trained_with_its_options(tmp_path, monkeypatch):
         "--episodes",
         8,
     ]
-    train_here(monkeypatch, "grasp", *words, make=kept)
+    train_here("grasp", *words, make=kept)
     assert tasks[0].config.gap == (0.02, 0.02)
     about = read_policy(out / "policy.hpac").about
     assert about["env_id"] == "my_task:Own-Gap-v0"
     assert about["settings"]["options"] == {"gap": 0.02}
-    train_here(monkeypatch, "--resume", "--out", out, "--episodes", 10)
+    train_here("--resume", "--out", out, "--episodes", 10)
 
 
 def test_an_object_of_ones_own_is_what_is_trained_on(tmp_path, monkeypatch):
