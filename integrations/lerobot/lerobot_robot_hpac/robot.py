@@ -76,6 +76,10 @@ class Hpac(Robot):
 
     config_class = HpacConfig
     name = "hpac"
+    action_features = dict.fromkeys(ACTIONS, float)
+    """The six actions."""
+    is_calibrated = True
+    """`hpac calibrate` calibrates a hand, and its file is the setting `hand`."""
 
     def __init__(self, config: HpacConfig) -> None:
         super().__init__(config)
@@ -98,19 +102,9 @@ class Hpac(Robot):
         return dict.fromkeys(numbers, float) | pictures
 
     @property
-    def action_features(self) -> dict[str, type]:
-        """The six actions."""
-        return dict.fromkeys(ACTIONS, float)
-
-    @property
     def is_connected(self) -> bool:
         """Whether the port is open."""
         return self._stack is not None
-
-    @property
-    def is_calibrated(self) -> bool:
-        """True: `hpac calibrate` calibrates a hand, and its file is the setting `hand`."""
-        return True
 
     def calibrate(self) -> None:
         """Nothing to do."""

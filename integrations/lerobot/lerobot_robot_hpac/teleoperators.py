@@ -9,7 +9,7 @@ import logging
 import socket
 import time
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from lerobot.lerobot_types import RobotAction
@@ -38,30 +38,22 @@ log = logging.getLogger(__name__)
 class HpacTeleoperator(Teleoperator):
     """What the teleoperators share; each has `_open`, `_wanted` and `_close`."""
 
+    action_features = dict.fromkeys(ACTIONS, float)
+    """The six actions."""
+    feedback_features: ClassVar[dict[str, type]] = {}
+    """None: nothing pushes back."""
+    is_calibrated = True
+    """There is nothing to calibrate."""
+
     def __init__(self, config: TeleoperatorConfig) -> None:
         super().__init__(config)
         self.config = config
         self._connected = False
 
     @property
-    def action_features(self) -> dict[str, type]:
-        """The six actions."""
-        return dict.fromkeys(ACTIONS, float)
-
-    @property
-    def feedback_features(self) -> dict[str, type]:
-        """None: nothing pushes back."""
-        return {}
-
-    @property
     def is_connected(self) -> bool:
         """Whether `connect` was called."""
         return self._connected
-
-    @property
-    def is_calibrated(self) -> bool:
-        """True: there is nothing to calibrate."""
-        return True
 
     def calibrate(self) -> None:
         """Nothing to do."""
@@ -92,15 +84,6 @@ class HpacTeleoperator(Teleoperator):
         if self._connected:
             self._connected = False
             self._close()
-
-    def _open(self) -> None:
-        raise NotImplementedError
-
-    def _wanted(self) -> Array:
-        raise NotImplementedError
-
-    def _close(self) -> None:
-        raise NotImplementedError
 
 
 # A policy ---------------------------------------------------------------------------------
