@@ -198,6 +198,17 @@ def test_estop_stops_a_hand_that_another_program_has_armed(host_board, capsys):
     assert "fault estop" in diagnose(host_board.port, host_board.port).what
 
 
+@pytest.mark.parametrize("output", [">&-", "> /dev/full"], ids=["closed", "full"])
+def test_an_estop_is_sent_and_told_whatever_standard_output_is(output, host_board):
+    with HandLink(host_board.connect) as link:
+        link.arm(Action.hold)
+        command = f"exec {sys.executable} -m hpac estop --port {host_board.port} {output}"
+        done = subprocess.run(command, shell=True, stderr=subprocess.PIPE, text=True, check=False)
+        assert not host_board.pulses().any()
+    said = "stopped: no pulses, fault estop; `hpac clear` leaves it\n"
+    assert (done.returncode, done.stderr) == (0, said)
+
+
 RUNNING = {
     "wiggle": "import hpac; hpac.main(['wiggle', '--port', PORT])",
     "posture": "import hpac; hpac.main(['posture', 'fist', '--port', PORT])",
