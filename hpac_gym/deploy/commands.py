@@ -19,9 +19,18 @@ from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.body.own_objects import own_object
 from hpac_gym.bridge import HandLink, WireLog
 from hpac_gym.bridge.commands import PORT_HELP, connector
+from hpac_gym.bridge.transport import open_transport
 from hpac_gym.command import add_json, say, seconds
 from hpac_gym.deploy.arm import arm_of
-from hpac_gym.deploy.episode import AVERAGED, LOG_VERSION, OLDEST, Log, checked, run_episode
+from hpac_gym.deploy.episode import (
+    AVERAGED,
+    LOG_VERSION,
+    OLDEST,
+    Log,
+    checked,
+    run_episode,
+    wire_log,
+)
 from hpac_gym.deploy.errors import DeployError
 from hpac_gym.deploy.observer import Observer
 from hpac_gym.deploy.poses import averaged, source_of
@@ -70,7 +79,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--hold", type=seconds, default=2.0, metavar="S", help="before it opens [s] (%(default)s)"
     )
-    parser.add_argument("--log", type=Path, default=Path("runs/deploy.jsonl"), help="JSON lines")
+    parser.add_argument(
+        "--log",
+        type=Path,
+        default=Path("runs/deploy.jsonl"),
+        help="JSON lines; a file of that name is kept as NAME-1, or the next free number",
+    )
     parser.add_argument(
         "--dry-run", action="store_true", help="print observation and first command; move nothing"
     )
@@ -106,11 +120,12 @@ def run(options: argparse.Namespace) -> int:
             raise DeployError("--port is missing: name one, or --dry-run")
         arm = arm_of(options.arm)
         stack.callback(arm.close)
+        transport = open_transport(connector(options.port, stack))  # or no log is begun
+        stack.callback(transport.close)
         log = stack.enter_context(Log(options.log))
         log.write(hpac_deploy=LOG_VERSION, **_head(options, observer))
-        wire = stack.enter_context(WireLog(options.log.with_suffix(".wire.jsonl")))
-        port = connector(options.port, stack)
-        link = stack.enter_context(HandLink(port, hand=hand, log=wire))
+        wire = stack.enter_context(WireLog(wire_log(options.log)))
+        link = stack.enter_context(HandLink(lambda: transport, hand=hand, log=wire))
         said = f"{options.policy} on {options.port}: {env_id}, {observer.steps / 20:g} s; Ctrl-C opens the hand"
         say(options.json, said, policy=options.policy, port=options.port, env=env_id)
         live = [_live] if sys.stderr.isatty() else []

@@ -8,6 +8,7 @@ import json
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict
+from itertools import count
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, TextIO
@@ -40,6 +41,9 @@ Live = Callable[[dict[str, Any]], None]
 class Log:
     """One JSON object a line, in the file as soon as it is written: complete after ``kill -9``.
 
+    A log of that name is kept with its wire log under the next free number; who still writes to it
+    goes on there.
+
     Raises:
         OutputError: The file cannot be written.
     """
@@ -50,7 +54,9 @@ class Log:
         if path is not None:
             try:
                 path.parent.mkdir(parents=True, exist_ok=True)
-                self._file = path.open("w", encoding="utf-8", buffering=1)
+                if path.is_file():
+                    _keep(path)
+                self._file = path.open("a", encoding="utf-8", buffering=1)
             except OSError as error:
                 raise OutputError(f"cannot write '{path}': {error.strerror}") from None
 
@@ -79,6 +85,20 @@ class Log:
         with suppress(OSError):
             if self._file is not None:
                 self._file.close()
+
+
+def _keep(path: Path) -> None:
+    """Move a log and its wire log out of the way, to `NAME-1` or the next free number."""
+    numbered = (path.with_stem(f"{path.stem}-{number}") for number in count(1))
+    free = next(new for new in numbered if not (new.exists() or wire_log(new).exists()))
+    for old, new in ((path, free), (wire_log(path), wire_log(free))):
+        if old.is_file():
+            old.rename(new)
+
+
+def wire_log(path: Path) -> Path:
+    """Where the frames of the wire stand that belong to a log."""
+    return path.with_suffix(".wire.jsonl")
 
 
 def run_episode(

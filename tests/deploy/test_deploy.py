@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from dataclasses import asdict, replace
+from pathlib import Path
 
 import gymnasium
 import numpy as np
@@ -19,6 +20,7 @@ from scipy.spatial.transform import Rotation
 import hpac
 from experiments import deployed
 from hpac_gym.bridge import FaultError, HandLink, HostBoard, VirtualHand, servo_from_pulses
+from hpac_gym.bridge.errors import LogWarning
 from hpac_gym.bridge.frame import Frame, encode
 from hpac_gym.deploy.arm import Nobody, arm_of
 from hpac_gym.deploy.commands import object_of
@@ -229,6 +231,43 @@ def test_wrong_words_are_one_line(words, says, capsys, tmp_path, monkeypatch):
     status, said = told(capsys, *words)
     assert status == 2
     assert says in said.err
+    assert len(said.err.splitlines()) == 1
+
+
+def test_a_log_is_kept_from_the_next_deployment_that_names_it(tmp_path, capsys):
+    path = tmp_path / "log.jsonl"
+    words = [*WORDS, "--log", str(path), "--port"]
+    assert told(capsys, *words, "virtual")[0] == 0
+    steps = path.read_text()
+    assert told(capsys, *words, "/dev/none")[0] == 2
+    assert path.read_text() == steps
+    with path.open("a") as still_writing:
+        assert told(capsys, *words, "virtual")[0] == 0
+        still_writing.write("more")
+    assert (tmp_path / "log-1.jsonl").read_text() == steps + "more"
+    assert told(capsys, *words, "virtual")[0] == 0
+    kept = {name: (tmp_path / f"log{name}.jsonl").read_text() for name in ("", "-1", "-2")}
+    wires = {name: (tmp_path / f"log{name}.wire.jsonl").read_text() for name in kept}
+    assert [text.count("\n") for text in kept.values()] == [66] * 3
+    assert len(set(kept.values())) == len(set(wires.values())) == 3
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
+def test_a_full_disk_of_the_wire_log_alone_is_a_warning(tmp_path, capsys):
+    (tmp_path / "log.wire.jsonl").symlink_to("/dev/full")
+    log = tmp_path / "log.jsonl"
+    with pytest.warns(LogWarning, match="link continues without it: .* No space") as said:
+        status, out = told(capsys, *WORDS, "--port", "virtual", "--log", str(log))
+    assert (status, len(said), out.err) == (0, 1, "")
+    assert "done: 64 commands" in out.out
+
+
+def test_a_wire_log_that_is_a_folder_is_one_line(tmp_path, capsys):
+    (tmp_path / "log.wire.jsonl").mkdir()
+    log = tmp_path / "log.jsonl"
+    status, said = told(capsys, *WORDS, "--port", "virtual", "--log", str(log))
+    assert status == 2
+    assert said.err.endswith("log.wire.jsonl': Is a directory\n")
     assert len(said.err.splitlines()) == 1
 
 
