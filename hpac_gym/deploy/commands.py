@@ -30,6 +30,7 @@ from hpac_gym.deploy.episode import (
     checked,
     run_episode,
     wire_log,
+    wrist,
 )
 from hpac_gym.deploy.errors import DeployError
 from hpac_gym.deploy.observer import Observer
@@ -60,7 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--arm", default="none", help="none, enter (a person) or udp:HOST:PORT")
     parser.add_argument(
-        "--env", metavar="ID", help="environment of a policy without a file (HPAC-Grasp-v0)"
+        "--env", metavar="ID", help="environment of a policy whose file names none (HPAC-Grasp-v0)"
     )
     parser.add_argument(
         "--grasp", metavar="NAME", help="named grasp or type, for the tasks that have them"
@@ -105,7 +106,7 @@ def object_of(text: str) -> ObjectSpec:
 
 def run(options: argparse.Namespace) -> int:
     """Run one episode, or only tell what would be done."""
-    env_id = about(options.policy).get("env_id") or options.env or "HPAC-Grasp-v0"
+    env_id = options.env or about(options.policy).get("env_id") or "HPAC-Grasp-v0"
     hand = load_hand(options.model) if options.model else HPAC
     thing = object_of(options.object)
     observer = Observer(env_id, thing, hand, options.grasp, **needed_options(options.policy))
@@ -118,6 +119,11 @@ def run(options: argparse.Namespace) -> int:
             return 0
         if options.port is None:
             raise DeployError("--port is missing: name one, or --dry-run")
+        if observer.task.wrist_actions and options.arm == "none":
+            raise DeployError(
+                f"{options.policy} places the wrist ({', '.join(observer.task.wrist_actions)}), "
+                "and --arm none moves none: take --arm enter or --arm udp:HOST:PORT"
+            )
         arm = arm_of(options.arm)
         stack.callback(arm.close)
         transport = open_transport(connector(options.port, stack))  # or no log is begun
@@ -176,25 +182,26 @@ def _head(options: argparse.Namespace, observer: Observer) -> dict[str, Any]:
 def _dry_run(options: argparse.Namespace, observer: Observer, policy: Any, source: Any) -> None:
     """Print every entry of the first observation with name and unit, and the first command."""
     pose = averaged(source, options.average, options.oldest)
+    observer.expects(pose)
     observation = observer.see(pose)
     entries = observer.entries(observation)
     given, _ = ask(policy, observation, None, np.array([True]))
     action = checked(given, observer)
     target = observer.command(action)
-    wrist = dict(zip(observer.task.wrist_actions, map(float, action[len(SERVOS) :]), strict=True))
+    placed = wrist(action, observer)
     if options.json:
         names = ("name", "label", "value", "unit")
         rows = [dict(zip(names, entry, strict=True)) for entry in entries]
         commands = {"start_rad": observer.servo.tolist(), "first_command_rad": target.tolist()}
-        say(True, "", observation=rows, servos=SERVOS, **commands, wrist=wrist)
+        say(True, "", observation=rows, servos=SERVOS, **commands, wrist=placed)
         return
     for name, label, value, unit in entries:
         print(f"{name:<14} {label:<18} {value:9.4f}  {unit}")
     print(f"\n{'servo':<14} {'start [rad]':>12} {'first command [rad]':>20}")
     for row in zip(SERVOS, observer.servo, target, strict=True):
         print("{:<14} {:12.4f} {:20.4f}".format(*row))
-    if wrist:
-        told = ", ".join(f"{name} {value:+.2f}" for name, value in wrist.items())
+    if placed:
+        told = ", ".join(f"{name} {value:+.2f}" for name, value in placed.items())
         print(f"the policy places the wrist: {told}")
     print("dry run: nothing was sent")
 

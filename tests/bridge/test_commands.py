@@ -18,6 +18,7 @@ from hpac_gym.bridge import (
     HandshakeError,
     LinkTimeout,
     PortError,
+    RejectedError,
     Reset,
     UnconfirmedWarning,
     VirtualHand,
@@ -112,6 +113,28 @@ def test_doctor_names_each_illness():
     unplugged = VirtualHand()
     unplugged.plugged = False
     assert not diagnose("here", unplugged.connect).healthy
+
+
+def test_a_hot_hand_is_told_with_its_heat_and_the_limit():
+    hand = VirtualHand()
+    with HandLink(hand.connect) as link:
+        link.arm()
+        for _ in range(400):
+            link.move(ServoCommand(HPAC.servo_max, 1.0))
+            if link.status().heat.max() >= 0.89:
+                break
+        link.clear()
+        with pytest.raises(RejectedError, match=r"thumb_mp: heat 8\d%, allowed below 80% \(state"):
+            link.arm()
+    finding = diagnose("here", hand.connect)
+    assert not finding.healthy
+    assert "heat up to 8" in finding.what
+    assert "cool below 80%" in finding.advice
+
+
+def test_an_empty_port_is_none():
+    with pytest.raises(PortError, match="--port '' names no port"):
+        run("doctor", "--port", "")
 
 
 def test_doctor_does_not_touch_an_armed_hand(virtual_hand, armed):
