@@ -172,7 +172,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         arguments = parser_of(words).parse_args(words)
         return arguments.run(arguments)
 
-    return run(command)
+    return run(command, unheard="estop" in words[:1])
 
 
 def parser_of(argv: Sequence[str]) -> Parser:

@@ -59,23 +59,24 @@ def say(as_json: bool, text: str, **facts: Any) -> None:
     print(json.dumps(facts, ensure_ascii=False) if as_json else text, flush=True)
 
 
-def run(command: Callable[[], int]) -> int:
-    """Run a command and return its exit status.
+def run(command: Callable[[], int], unheard: bool = False) -> int:
+    """Run a command and return its exit status; without a standard output only if `unheard`.
 
     An `HpacError`, a missing package of an extra or an unwritable standard output gives one line
     and `USAGE_ERROR`; Ctrl-C gives `INTERRUPTED`. A warning is one line too. Any other exception is
     a bug and keeps its traceback.
     """
     warnings.formatwarning = lambda message, *_: f"warning: {message}\n"
-    if sys.stdout is None:
+    if sys.stdout is None and not unheard:
         return complain("cannot write to standard output: it is closed")
     try:
         try:
             return command()
         finally:
-            sys.stdout.flush()
+            if sys.stdout is not None:
+                sys.stdout.flush()
     except BrokenPipeError:  # the reader of the output has closed it
-        _drop_output()
+        drop_output()
         return 0
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
@@ -91,7 +92,7 @@ def run(command: Callable[[], int]) -> int:
             and error.filename is None
             and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO)
         ):
-            _drop_output()
+            drop_output()
             return complain(f"cannot write to standard output: {error.strerror}")
         raise
 
@@ -126,7 +127,7 @@ def complain(message: str) -> int:
     return USAGE_ERROR
 
 
-def _drop_output() -> None:
+def drop_output() -> None:
     """Discard buffered output; otherwise Python would try to write it again at exit."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 

@@ -1,9 +1,11 @@
-"""Progress on standard error of what takes longer than two seconds."""
+"""Progress on standard error of what takes longer than a second or two."""
 
+import math
 import sys
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from threading import Event, Thread
+from time import monotonic
 from typing import TypeVar
 
 from tqdm import tqdm
@@ -24,6 +26,22 @@ def progress(items: Iterable[Item], label: str, shown: bool = True) -> Iterable[
     """
     shown = shown and sys.stderr.isatty()
     return tqdm(items, label, delay=_PATIENCE, disable=not shown, dynamic_ncols=True)
+
+
+class Late:
+    """A line on standard error, printed by the first call that comes a second after it was made or
+    later. For loops that wait while a hand listens, and may run in a signal handler.
+    """
+
+    def __init__(self, text: str) -> None:
+        self._text = text
+        self._due = monotonic() + 1.0
+
+    def __call__(self) -> None:
+        if monotonic() >= self._due:
+            self._due = math.inf
+            with suppress(OSError, RuntimeError):  # the handler may have interrupted a print
+                print(self._text, file=sys.stderr, flush=True)
 
 
 @contextmanager

@@ -169,8 +169,8 @@ def test_a_day(day):
 
     # hot
     hand = day.hand()
-    assert re.search(r"heat up to (8[5-9]|90)%", day.do("doctor"))
-    assert "refused arm: hot" in day.do("deploy", status=2)
+    assert re.search(r"heat up to (8[5-9]|90)%", day.do("doctor", status=1))
+    assert "allowed below 80%" in day.do("deploy", status=2)
     assert day.steps("hot.jsonl") == []
     leave(hand)
 

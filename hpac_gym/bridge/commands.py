@@ -11,6 +11,7 @@ from contextlib import ExitStack
 import numpy as np
 
 from hpac_gym.bridge.doctor import Finding, diagnose, find_ports
+from hpac_gym.bridge.errors import PortError
 from hpac_gym.bridge.evidence.conform import Row, conform
 from hpac_gym.bridge.hands import HostBoard, VirtualHand, config_of
 from hpac_gym.bridge.link import HandLink
@@ -77,7 +78,12 @@ def _add_hand(
 def connector(port: str, stack: ExitStack, hand: Hand = HPAC) -> str | Callable[[], Transport]:
     """The `port` argument of a `HandLink` for a `--port`; starts the firmware for `virtual` and
     `host`.
+
+    Raises:
+        PortError: The name is empty.
     """
+    if not port:
+        raise PortError("--port '' names no port")
     if port == "virtual":
         return VirtualHand(config=config_of(hand)).connect
     if port == "host":
@@ -173,7 +179,7 @@ def _clear(options: argparse.Namespace) -> int:
 
 def _doctor(options: argparse.Namespace) -> int:
     hand = _hand(options)
-    ports = [options.port] if options.port else find_ports()
+    ports = find_ports() if options.port is None else [options.port]
     with ExitStack() as stack:
         findings = [diagnose(port, connector(port, stack, hand), hand) for port in ports]
     if not ports:

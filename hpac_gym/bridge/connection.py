@@ -198,6 +198,8 @@ class Connection:
     def _refusal(self, message: Frame, answer: Frame) -> RejectedError:
         self.exchange.statistics.rejected += 1
         self._learn_fault()
+        if answer.number("reason") == Reason.hot:
+            self._ask_status()
         return self.known.refusal(message, answer)
 
     def _learn_fault(self) -> None:

@@ -10,7 +10,7 @@ from serial.tools import list_ports
 from hpac_gym.bridge.errors import BridgeError, HandshakeError, LinkTimeout, PortError
 from hpac_gym.bridge.exchange import Exchange, LinkStatistics
 from hpac_gym.bridge.frame import Frame, FrameSplitter
-from hpac_gym.bridge.protocol import VERSION, Reason, name_of
+from hpac_gym.bridge.protocol import LOAD, VERSION, Reason, name_of
 from hpac_gym.bridge.reports import HandInfo, HandStatus
 from hpac_gym.bridge.transport import Transport, open_transport
 from hpac_gym.model import HPAC, Hand
@@ -180,6 +180,9 @@ def _judge(
     except HandshakeError as error:
         limits, _, advice = str(error).partition(": ")
         return Finding(name, False, f"{what}; {limits}", advice)
+    if status.rate_share < 1:
+        advice = f"let it cool below {LOAD['derate_from_percent']}%: hotter, it is not armed"
+        return Finding(name, False, what, advice)
     bad = status.counters["bad_crc"] + status.counters["bad_frame"] + status.counters["overrun"]
     if bad > 10 and bad > status.counters["accepted"] // 100:
         return Finding(

@@ -8,6 +8,7 @@ import json
 import secrets
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from os import PathLike
 from weakref import WeakMethod
@@ -19,6 +20,7 @@ from hpac_gym.bridge.frame import Fields, Frame, FrameSplitter, encode
 from hpac_gym.bridge.protocol import MESSAGE_BY_CODE, MESSAGES, Reason, State, name_of
 from hpac_gym.bridge.reports import KnownState
 from hpac_gym.bridge.transport import Transport
+from hpac_gym.output import OutputError
 
 _ANSWERS = {"hello": "device_hello", "status": "device_status"}
 """Answers to executed messages other than ACK, which answers all others and every refusal."""
@@ -73,21 +75,21 @@ class WireLog:
     the link warns once and continues without it.
 
     Raises:
-        OSError: The file cannot be written.
+        OutputError: The file cannot be written.
     """
 
     def __init__(self, path: str | PathLike[str]) -> None:
-        self._file = open(path, "w", encoding="utf-8")  # noqa: SIM115 - closed by close()
+        try:
+            self._file = open(path, "w", encoding="utf-8", buffering=1)  # noqa: SIM115 - by close()
+        except OSError as error:
+            raise OutputError(f"cannot write '{path}': {error.strerror}") from None
 
     def __enter__(self) -> WireLog:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        try:
+    def __exit__(self, *_: object) -> None:
+        with suppress(OSError):  # of a line that was told when it was written
             self.close()
-        except OSError:
-            if kind is None:  # do not hide the program's own exception
-                raise
 
     def record(
         self,

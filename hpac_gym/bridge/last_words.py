@@ -3,6 +3,7 @@
 from hpac_gym.bridge.errors import LinkTimeout, PortError
 from hpac_gym.bridge.exchange import Exchange
 from hpac_gym.bridge.protocol import Fault, Reason
+from hpac_gym.progress import Late
 
 TAKEN_OVER = (
     "another program has greeted the hand since, or the board has restarted: it is left as it is"
@@ -34,11 +35,13 @@ def release(exchange: Exchange, greeted: bool, timeout: float) -> tuple[str, Bas
     failure = "no answer"
     interrupt = None
     port_gone = False
+    late = Late("asking the hand to stop: no answer yet")
     attempts = _ATTEMPTS if greeted else _ATTEMPTS_UNGREETED
     if greeted and known.fault == Fault.estop.name:  # no pulses, and CLEAR would leave the fault
         attempts = (("status",), *_ATTEMPTS)
     while known.may_have_power and attempts:
         for messages in attempts:
+            late()
             try:
                 for name in messages:
                     if known.may_have_power:

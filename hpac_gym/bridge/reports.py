@@ -10,7 +10,16 @@ import numpy as np
 from hpac_gym.bridge.errors import FaultError, HandshakeError, RejectedError
 from hpac_gym.bridge.frame import Frame
 from hpac_gym.bridge.limits import ServoLimits, limits_hash
-from hpac_gym.bridge.protocol import ANGLE_UNIT, CONSTANTS, Fault, Reason, Reset, State, name_of
+from hpac_gym.bridge.protocol import (
+    ANGLE_UNIT,
+    CONSTANTS,
+    LOAD,
+    Fault,
+    Reason,
+    Reset,
+    State,
+    name_of,
+)
 from hpac_gym.model import HPAC, SERVOS, Hand
 from hpac_gym.model.maps import is_calibrated
 
@@ -230,6 +239,9 @@ class KnownState:
             if reason == refused_for.name and field in message.fields:
                 what = "watchdog " if field == "watchdog_ms" else ""
                 return f": {what}{message.number(field)} ms, allowed {allowed} ms"
+        if message.name == "arm" and reason == Reason.hot.name and self.status is not None:
+            most = LOAD["derate_from_percent"]
+            return f": heat {self.status.heat[servo]:.0%}, allowed below {most}%"
         if servo >= len(self.limits) or "servo" not in message.fields:
             return ""
         limit = self.limits[servo]

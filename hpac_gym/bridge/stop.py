@@ -4,13 +4,14 @@ A hand accepts ESTOP from anybody, so the port is opened without the lock, no se
 nothing is loaded that the stop does not need."""
 
 import argparse
+import sys
 from contextlib import ExitStack
 
 from hpac_gym.bridge.errors import LinkTimeout, PortError
 from hpac_gym.bridge.frame import Frame, FrameSplitter, encode
 from hpac_gym.bridge.protocol import MESSAGES, Reason, State
 from hpac_gym.bridge.transport import Transport, open_transport
-from hpac_gym.command import add_json, say
+from hpac_gym.command import add_json, drop_output, say
 
 PATIENCE = 3.0
 """Longest wait for the hand's confirmation [s]."""
@@ -39,13 +40,22 @@ def run(options: argparse.Namespace) -> int:
             stop(transport)
     except (LinkTimeout, PortError) as error:
         raise type(error)(f"ESTOP is not confirmed, switch the servo supply off: {error}") from None
-    said = "stopped: no pulses, fault estop; `hpac clear` leaves it"
-    say(options.json, said, stopped=True, fault="estop")
+    _tell(options.json, "stopped: no pulses, fault estop; `hpac clear` leaves it")
     if options.hand:  # a file that cannot be read is an error, but must not delay the stop
         from hpac_gym.model import load_hand
 
         load_hand(options.hand)
     return 0
+
+
+def _tell(as_json: bool, said: str) -> None:
+    """Tell that the hand is stopped: on standard error where standard output is closed or full."""
+    if sys.stdout is not None:
+        try:
+            return say(as_json, said, stopped=True, fault="estop")
+        except OSError:
+            drop_output()
+    print(said, file=sys.stderr)
 
 
 def stop(transport: Transport) -> None:

@@ -95,7 +95,7 @@ class SerialTransport(Transport):
                 data += self._serial.read(waiting)
         except (OSError, TypeError) as error:  # TypeError: raised by pyserial if it was closed
             if "multiple access" not in str(error) or self._missed > _MISSED_MAX:
-                raise PortError(f"{self.port} has gone: {error}") from error
+                raise PortError(_gone(f"{self.port} has gone", error)) from error
             self._missed += (
                 1  # a stop from another program may have read them; gone ports repeat it
             )
@@ -108,10 +108,16 @@ class SerialTransport(Transport):
         try:
             self._serial.write(data)
         except (OSError, TypeError) as error:
-            raise PortError(f"{self.port} takes no bytes: {error}") from error
+            raise PortError(_gone(f"{self.port} takes no bytes", error)) from error
 
     def close(self) -> None:
         self._serial.close()
+
+
+def _gone(what: str, error: Exception) -> str:
+    text = str(error)
+    unplugged = any(told in text for told in ("(5, ", "[Errno 5]", "returned no data"))
+    return f"{what}: {'unplugged?' if unplugged else text}"
 
 
 def _open_advice(port: str, error: Exception) -> str:
@@ -122,7 +128,9 @@ def _open_advice(port: str, error: Exception) -> str:
         return f"{port}: permission denied; add yourself to the group of the port (Debian: dialout) and log in again"
     if isinstance(error, FileNotFoundError) or "No such file" in text:
         return f"{port}: no such port; `hpac doctor` lists the ones that are there"
-    return f"{port} cannot be opened: {text}"
+    if "Inappropriate ioctl" in text or "Is a directory" in text:
+        return f"{port} is not a serial port; `hpac doctor` lists the ones that are there"
+    return _gone(f"{port} cannot be opened", error)
 
 
 def open_transport(port: str | Callable[[], Transport], lock: bool = True) -> Transport:

@@ -11,12 +11,14 @@ from collections.abc import Callable
 from typing import Any, Protocol
 
 from hpac_gym.deploy.errors import DeployError
+from hpac_gym.progress import Late
 
 PACKET = "hpac_arm"
 """Name of the version field of both packets, one a datagram: told in every step is ``{"hpac_arm": 1,
 "phase": "lift", "time": 1.2, "offset": [x, y, z]}``, with the time since the hand began to close [s]
 and the wrist's offset from its start along the world's axes [m]; answered to those of the phase
-``ready``, which come until then, is ``{"hpac_arm": 1, "ready": true}``.
+``ready``, which come until then, is ``{"hpac_arm": 1, "ready": true}``. These also tell the `wrist`
+of a policy that places it, −1…1 by the name of the action.
 """
 VERSION = 1
 
@@ -58,6 +60,8 @@ class Person:
         """Wait for Enter."""
         import select
 
+        for name, value in told.get("wrist", {}).items():
+            print(f"arm: the policy places {name} {value:+.2f}", file=sys.stderr)
         print(
             "the object is seen; Enter: the hand stands there, close", file=sys.stderr, flush=True
         )
@@ -87,11 +91,12 @@ class Remote:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         self._patience = patience
+        self._where = f"the arm at {host}:{port}"
         try:
             self._socket.connect((host, port))
         except (OSError, OverflowError) as error:
             self._socket.close()
-            raise DeployError(f"arm at {host}:{port}: {error}") from None
+            raise DeployError(f"{self._where}: {error}") from None
 
     def ready(self, wait: Callable[[float], None], told: dict[str, Any]) -> None:
         """Ask until the arm answers that it is ready.
@@ -99,16 +104,18 @@ class Remote:
         Raises:
             DeployError: It does not within a minute.
         """
+        late = Late(f"waiting for {self._where}")
         for _ in range(round(self._patience / 0.1)):
             self.tell(told)
             wait(0.1)
+            late()
             try:
                 answer = json.loads(self._socket.recv(4096))
                 if answer[PACKET] == VERSION and answer["ready"] is True:
                     return
             except (OSError, ValueError, KeyError, TypeError):
                 continue
-        raise DeployError(f"the arm did not say that it is ready within {self._patience:g} s")
+        raise DeployError(f"{self._where} did not say that it is ready within {self._patience:g} s")
 
     def tell(self, told: dict[str, Any]) -> None:
         """Send a packet; that nobody listens is noticed by `ready` alone."""

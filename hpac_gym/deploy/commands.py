@@ -19,9 +19,19 @@ from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.body.own_objects import own_object
 from hpac_gym.bridge import HandLink, WireLog
 from hpac_gym.bridge.commands import PORT_HELP, connector
+from hpac_gym.bridge.transport import open_transport
 from hpac_gym.command import add_json, say, seconds
 from hpac_gym.deploy.arm import arm_of
-from hpac_gym.deploy.episode import AVERAGED, LOG_VERSION, OLDEST, Log, checked, run_episode
+from hpac_gym.deploy.episode import (
+    AVERAGED,
+    LOG_VERSION,
+    OLDEST,
+    Log,
+    checked,
+    run_episode,
+    wire_log,
+    wrist,
+)
 from hpac_gym.deploy.errors import DeployError
 from hpac_gym.deploy.observer import Observer
 from hpac_gym.deploy.poses import averaged, source_of
@@ -51,7 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--arm", default="none", help="none, enter (a person) or udp:HOST:PORT")
     parser.add_argument(
-        "--env", metavar="ID", help="environment of a policy without a file (HPAC-Grasp-v0)"
+        "--env", metavar="ID", help="environment of a policy whose file names none (HPAC-Grasp-v0)"
     )
     parser.add_argument(
         "--grasp", metavar="NAME", help="named grasp or type, for the tasks that have them"
@@ -70,7 +80,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--hold", type=seconds, default=2.0, metavar="S", help="before it opens [s] (%(default)s)"
     )
-    parser.add_argument("--log", type=Path, default=Path("runs/deploy.jsonl"), help="JSON lines")
+    parser.add_argument(
+        "--log",
+        type=Path,
+        default=Path("runs/deploy.jsonl"),
+        help="JSON lines; a file of that name is kept as NAME-1, or the next free number",
+    )
     parser.add_argument(
         "--dry-run", action="store_true", help="print observation and first command; move nothing"
     )
@@ -91,7 +106,7 @@ def object_of(text: str) -> ObjectSpec:
 
 def run(options: argparse.Namespace) -> int:
     """Run one episode, or only tell what would be done."""
-    env_id = about(options.policy).get("env_id") or options.env or "HPAC-Grasp-v0"
+    env_id = options.env or about(options.policy).get("env_id") or "HPAC-Grasp-v0"
     hand = load_hand(options.model) if options.model else HPAC
     thing = object_of(options.object)
     observer = Observer(env_id, thing, hand, options.grasp, **needed_options(options.policy))
@@ -104,13 +119,19 @@ def run(options: argparse.Namespace) -> int:
             return 0
         if options.port is None:
             raise DeployError("--port is missing: name one, or --dry-run")
+        if observer.task.wrist_actions and options.arm == "none":
+            raise DeployError(
+                f"{options.policy} places the wrist ({', '.join(observer.task.wrist_actions)}), "
+                "and --arm none moves none: take --arm enter or --arm udp:HOST:PORT"
+            )
         arm = arm_of(options.arm)
         stack.callback(arm.close)
+        transport = open_transport(connector(options.port, stack))  # or no log is begun
+        stack.callback(transport.close)
         log = stack.enter_context(Log(options.log))
         log.write(hpac_deploy=LOG_VERSION, **_head(options, observer))
-        wire = stack.enter_context(WireLog(options.log.with_suffix(".wire.jsonl")))
-        port = connector(options.port, stack)
-        link = stack.enter_context(HandLink(port, hand=hand, log=wire))
+        wire = stack.enter_context(WireLog(wire_log(options.log)))
+        link = stack.enter_context(HandLink(lambda: transport, hand=hand, log=wire))
         said = f"{options.policy} on {options.port}: {env_id}, {observer.steps / 20:g} s; Ctrl-C opens the hand"
         say(options.json, said, policy=options.policy, port=options.port, env=env_id)
         live = [_live] if sys.stderr.isatty() else []
@@ -161,25 +182,26 @@ def _head(options: argparse.Namespace, observer: Observer) -> dict[str, Any]:
 def _dry_run(options: argparse.Namespace, observer: Observer, policy: Any, source: Any) -> None:
     """Print every entry of the first observation with name and unit, and the first command."""
     pose = averaged(source, options.average, options.oldest)
+    observer.expects(pose)
     observation = observer.see(pose)
     entries = observer.entries(observation)
     given, _ = ask(policy, observation, None, np.array([True]))
     action = checked(given, observer)
     target = observer.command(action)
-    wrist = dict(zip(observer.task.wrist_actions, map(float, action[len(SERVOS) :]), strict=True))
+    placed = wrist(action, observer)
     if options.json:
         names = ("name", "label", "value", "unit")
         rows = [dict(zip(names, entry, strict=True)) for entry in entries]
         commands = {"start_rad": observer.servo.tolist(), "first_command_rad": target.tolist()}
-        say(True, "", observation=rows, servos=SERVOS, **commands, wrist=wrist)
+        say(True, "", observation=rows, servos=SERVOS, **commands, wrist=placed)
         return
     for name, label, value, unit in entries:
         print(f"{name:<14} {label:<18} {value:9.4f}  {unit}")
     print(f"\n{'servo':<14} {'start [rad]':>12} {'first command [rad]':>20}")
     for row in zip(SERVOS, observer.servo, target, strict=True):
         print("{:<14} {:12.4f} {:20.4f}".format(*row))
-    if wrist:
-        told = ", ".join(f"{name} {value:+.2f}" for name, value in wrist.items())
+    if placed:
+        told = ", ".join(f"{name} {value:+.2f}" for name, value in placed.items())
         print(f"the policy places the wrist: {told}")
     print("dry run: nothing was sent")
 

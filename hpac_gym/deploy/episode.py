@@ -8,6 +8,7 @@ import json
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict
+from itertools import count
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, TextIO
@@ -19,7 +20,8 @@ from hpac_gym.bridge.gentle import go, open_hand, release
 from hpac_gym.deploy.arm import Arm
 from hpac_gym.deploy.errors import DeployError, PoseError
 from hpac_gym.deploy.observer import Observer, Pose
-from hpac_gym.deploy.poses import Source, averaged
+from hpac_gym.deploy.poses import Source, averaged, first
+from hpac_gym.model import SERVOS
 from hpac_gym.model.checks import Array
 from hpac_gym.output import OutputError
 from hpac_gym.policies import Policy
@@ -40,6 +42,9 @@ Live = Callable[[dict[str, Any]], None]
 class Log:
     """One JSON object a line, in the file as soon as it is written: complete after ``kill -9``.
 
+    A log of that name is kept with its wire log under the next free number; who still writes to it
+    goes on there.
+
     Raises:
         OutputError: The file cannot be written.
     """
@@ -50,7 +55,9 @@ class Log:
         if path is not None:
             try:
                 path.parent.mkdir(parents=True, exist_ok=True)
-                self._file = path.open("w", encoding="utf-8", buffering=1)
+                if path.is_file():
+                    _keep(path)
+                self._file = path.open("a", encoding="utf-8", buffering=1)
             except OSError as error:
                 raise OutputError(f"cannot write '{path}': {error.strerror}") from None
 
@@ -79,6 +86,20 @@ class Log:
         with suppress(OSError):
             if self._file is not None:
                 self._file.close()
+
+
+def _keep(path: Path) -> None:
+    """Move a log and its wire log out of the way, to `NAME-1` or the next free number."""
+    numbered = (path.with_stem(f"{path.stem}-{number}") for number in count(1))
+    free = next(new for new in numbered if not (new.exists() or wire_log(new).exists()))
+    for old, new in ((path, free), (wire_log(path), wire_log(free))):
+        if old.is_file():
+            old.rename(new)
+
+
+def wire_log(path: Path) -> Path:
+    """Where the frames of the wire stand that belong to a log."""
+    return path.with_suffix(".wire.jsonl")
 
 
 def run_episode(
@@ -111,23 +132,28 @@ def run_episode(
         live: called with every step's figures.
 
     Raises:
-        PoseError: No pose, or the object was lost while the hand closed.
+        PoseError: No pose, one that cannot be observed, or the object was lost while the hand closed.
         DeployError: The policy gives no action.
         OutputError: The log cannot be written.
         BridgeError: The hand refuses, is stopped, or does not answer.
         KeyboardInterrupt: Ctrl-C, after the hand has opened.
     """
+    clock = link.exchange.transport.now
+    observer.expects(first(source, patience, link.sleep, clock))
     link.arm(watchdog=WATCHDOG)
     counts = StreamCounts()
     try:
-        clock = link.exchange.transport.now
         pose = averaged(source, seconds, oldest, patience, link.sleep, clock)
         observer.start()
         memory: Any = None
         go(link, np.asarray(observer.servo))
         stream = link.stream(1 / CONTROL_HZ)
         counts = stream.counts
-        arm.ready(link.sleep, {"phase": "ready", "time": 0.0, "offset": [0.0, 0.0, 0.0]})
+        told: dict[str, Any] = {"phase": "ready", "time": 0.0, "offset": [0.0, 0.0, 0.0]}
+        if observer.task.wrist_actions:  # decided by the first look
+            given, _ = ask(policy, observer.see(pose), None, np.array([True]))
+            told["wrist"] = wrist(checked(given, observer), observer)
+        arm.ready(link.sleep, told)
         stream.begin()
         begun = clock()
         closing = observer.phase()
@@ -201,6 +227,11 @@ def checked(given: Array, observer: Observer) -> Array:
     if action.shape != shape or not np.isfinite(action).all():
         raise DeployError(f"the policy's action must be {shape[0]} numbers, not {action.tolist()}")
     return np.clip(action, -1.0, 1.0)
+
+
+def wrist(action: Array, observer: Observer) -> dict[str, float]:
+    """Where the first action of a policy that does so places the wrist, −1…1 by name."""
+    return dict(zip(observer.task.wrist_actions, action[len(SERVOS) :].tolist(), strict=True))
 
 
 def _plain(value: Any) -> Any:

@@ -3,6 +3,7 @@ simulation, without an engine."""
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,7 +13,7 @@ from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
 from hpac_gym.body.objects import ObjectSpec
-from hpac_gym.deploy.errors import DeployError
+from hpac_gym.deploy.errors import DeployError, PoseError
 from hpac_gym.envs import make_task
 from hpac_gym.model import HPAC, SERVOS, Hand, action_from_synergy
 from hpac_gym.model.checks import Array
@@ -21,12 +22,22 @@ from hpac_gym.physics.engine import SceneSetup, SceneState, matrix_from_quaterni
 from hpac_gym.registration import GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE
 from hpac_gym.tasks.cameras import CameraNoise
 from hpac_gym.tasks.task import CONTROL_HZ, Task
-from hpac_gym.tasks.terms import Layout, Moment
+from hpac_gym.tasks.terms import (
+    AXES,
+    GRASP_CENTRE,
+    LENGTH_UNIT,
+    OBJECT_TERMS,
+    Layout,
+    Moment,
+)
 
 TASKS = (GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE)
 """Tasks that a hand can do with a camera that sees an object."""
 
-
+_DRAWN = 50
+_BESIDE = 0.02
+"""Episodes whose objects say where a task has them, and how far beside a place is told (chosen) [m].
+"""
 UPRIGHT = (-0.5, -0.5, -0.5, 0.5)
 """An object that stands upright, in the frame of a hand in its default orientation, xyzw."""
 
@@ -116,6 +127,24 @@ class Observer:
         shape (3,) [m].
         """
         return self._wrist[min(self.step, self.steps)]
+
+    def expects(self, pose: Pose) -> None:
+        """Compare where the object is seen first with where the task draws it; warn beyond that.
+
+        Raises:
+            PoseError: It is further than an observation can tell.
+        """
+        drawn = [self.task.setup(np.random.default_rng(i), HPAC).position for i in range(_DRAWN)]
+        low = np.min(drawn, axis=0)
+        high = np.max(drawn, axis=0)
+        worst = int(np.argmax(np.maximum(low - pose.position, pose.position - high)))
+        place = pose.position[worst]
+        told = f"the object is at {AXES[worst]} = {place:.3f} m in the hand's frame; "
+        told += f"{self.spec.id} draws it at {low[worst]:.3f} to {high[worst]:.3f} m"
+        if np.abs(pose.position - GRASP_CENTRE).max() > OBJECT_TERMS[0].high * LENGTH_UNIT:
+            raise PoseError(told)
+        if not low[worst] - _BESIDE <= place <= high[worst] + _BESIDE:
+            warnings.warn(told, stacklevel=2)
 
     def see(self, pose: Pose) -> NDArray[np.float32]:
         """The observation for a pose of the object, shape (size,)."""

@@ -20,6 +20,7 @@ from hpac_gym.camera.detection import Device, Frames, Lens, Watch, detect, lens_
 from hpac_gym.camera.poses import object_place
 from hpac_gym.deploy.errors import PoseError
 from hpac_gym.deploy.observer import UPRIGHT, Pose
+from hpac_gym.progress import Late
 
 PACKET = "hpac_pose"
 """Name of the version field of a packet: ``{"hpac_pose": 1, "position": [x, y, z], "quaternion":
@@ -141,8 +142,10 @@ class Packets:
             self._socket.bind(("127.0.0.1", port))
         except (OSError, OverflowError) as error:
             self._socket.close()
-            raise PoseError(f"UDP port {port}: {error}") from None
+            reason = getattr(error, "strerror", None) or error
+            raise PoseError(f"--pose udp:{port}: {reason}; does another deployment run?") from None
         self.port = self._socket.getsockname()[1]
+        self.where = f"udp:{self.port}"
 
     def latest(self) -> tuple[Pose, float] | None:
         """As `Source.latest`."""
@@ -181,6 +184,8 @@ class Tags:
     Attributes:
         fault: why the last picture shows no pose.
     """
+
+    where = "the camera"
 
     def __init__(
         self, frames: Frames, lens: Lens, top: float, clock: Callable[[], float] = monotonic
@@ -231,6 +236,28 @@ def source_of(text: str, seen: ObjectSpec | None = None) -> Source:
         ) from None
 
 
+def first(
+    source: Source,
+    patience: float,
+    pause: Callable[[float], None] = sleep,
+    clock: Callable[[], float] = monotonic,
+) -> Pose:
+    """The latest pose, as soon as there is one; arguments and error as of `averaged`."""
+    where = getattr(source, "where", "its source")
+    late = Late(f"waiting for poses at {where}")
+    begun = clock()
+    while (latest := source.latest()) is None:
+        if clock() - begun > patience:
+            fault = getattr(source, "fault", "")
+            raise PoseError(
+                f"no pose of the object within {patience:g} s at {where}"
+                + (f": {fault}" if fault else "")
+            )
+        late()
+        pause(0.02)
+    return latest[0]
+
+
 def averaged(
     source: Source,
     seconds: float,
@@ -252,14 +279,7 @@ def averaged(
     Raises:
         PoseError: No pose came, or the object was lost.
     """
-    begun = clock()
-    while (latest := source.latest()) is None:
-        if clock() - begun > patience:
-            fault = getattr(source, "fault", "")
-            raise PoseError(
-                f"no pose of the object within {patience:g} s" + (f": {fault}" if fault else "")
-            )
-        pause(0.02)
+    first(source, patience, pause, clock)
     poses: list[Pose] = []
     until = clock() + seconds
     while True:

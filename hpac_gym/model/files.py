@@ -31,6 +31,8 @@ _SCALARS = (
 _LISTS = ("joint_radius", "path_length")
 _CMC = ("cmc_gain", "cmc_stiffness", "cmc_torque_limit")
 _FRICTION = ("joint", "tendon")
+_MOST = {"rate_limit": (100.0, "rad/s"), "length": (1.0, "m"), "servo angle": (math.pi, "rad")}
+"""Largest numbers of any hand (chosen): ten times a servo's speed, an arm's length, half a turn."""
 _TOP = ("schema", "name", "sources", "servo", "cmc", "digits", "workspace", "calibration")
 
 
@@ -99,7 +101,7 @@ def _hand_from_table(table: dict[str, Any]) -> Hand:
     _refuse_unknown(digits, DIGITS, "[digits]")
     _refuse_unknown(servo, ("rate_limit",), "[servo]")
     _refuse_unknown(cmc, _CMC, "[cmc]")
-    return Hand(
+    hand = Hand(
         name=str(table.get("name", "unnamed")),
         digits={name: _digit(name, _table(digits, name)) for name in DIGITS},
         workspace={name: _pair(value, name) for name, value in _table(table, "workspace").items()},
@@ -110,6 +112,17 @@ def _hand_from_table(table: dict[str, Any]) -> Hand:
         if "calibration" in table
         else Calibration(),
     )
+    found = [("", "rate_limit", hand.rate_limit)]
+    found += [("", "servo angle", angle) for angle in (*-hand.servo_min, *hand.servo_max)]
+    for digit in hand.digits.values():
+        lengths = (digit.d1, digit.d2, digit.servo_radius, *digit.joint_radius, *digit.path_length)
+        found += [(f"digit {digit.name}: ", "length", length) for length in lengths]
+    for owner, name, value in found:
+        most, unit = _MOST[name]
+        if value > most:
+            allowed = f"allowed at most {most:.6g} {unit}"
+            raise ParameterError(f"{owner}{name} = {value:.6g} {unit}, {allowed}")
+    return hand
 
 
 def _calibration(table: dict[str, Any]) -> Calibration:

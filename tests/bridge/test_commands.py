@@ -18,6 +18,7 @@ from hpac_gym.bridge import (
     HandshakeError,
     LinkTimeout,
     PortError,
+    RejectedError,
     Reset,
     UnconfirmedWarning,
     VirtualHand,
@@ -114,6 +115,28 @@ def test_doctor_names_each_illness():
     assert not diagnose("here", unplugged.connect).healthy
 
 
+def test_a_hot_hand_is_told_with_its_heat_and_the_limit():
+    hand = VirtualHand()
+    with HandLink(hand.connect) as link:
+        link.arm()
+        for _ in range(400):
+            link.move(ServoCommand(HPAC.servo_max, 1.0))
+            if link.status().heat.max() >= 0.89:
+                break
+        link.clear()
+        with pytest.raises(RejectedError, match=r"thumb_mp: heat 8\d%, allowed below 80% \(state"):
+            link.arm()
+    finding = diagnose("here", hand.connect)
+    assert not finding.healthy
+    assert "heat up to 8" in finding.what
+    assert "cool below 80%" in finding.advice
+
+
+def test_an_empty_port_is_none():
+    with pytest.raises(PortError, match="--port '' names no port"):
+        run("doctor", "--port", "")
+
+
 def test_doctor_does_not_touch_an_armed_hand(virtual_hand, armed):
     armed.status(period=0.02)
     before = virtual_hand.pulses()
@@ -196,6 +219,17 @@ def test_estop_stops_a_hand_that_another_program_has_armed(host_board, capsys):
             link.sleep(1.0)
     assert "no pulses" in capsys.readouterr().out
     assert "fault estop" in diagnose(host_board.port, host_board.port).what
+
+
+@pytest.mark.parametrize("output", [">&-", "> /dev/full"], ids=["closed", "full"])
+def test_an_estop_is_sent_and_told_whatever_standard_output_is(output, host_board):
+    with HandLink(host_board.connect) as link:
+        link.arm(Action.hold)
+        command = f"exec {sys.executable} -m hpac estop --port {host_board.port} {output}"
+        done = subprocess.run(command, shell=True, stderr=subprocess.PIPE, text=True, check=False)
+        assert not host_board.pulses().any()
+    said = "stopped: no pulses, fault estop; `hpac clear` leaves it\n"
+    assert (done.returncode, done.stderr) == (0, said)
 
 
 RUNNING = {

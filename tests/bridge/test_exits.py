@@ -367,6 +367,15 @@ def test_a_blackout_at_the_end_does_not_leave_a_holding_hand_on(virtual_hand):
     assert not virtual_hand.pulses().any()
 
 
+def test_long_last_words_are_told(virtual_hand, monkeypatch, capsys):
+    clock = iter(range(1000))
+    monkeypatch.setattr("hpac_gym.progress.monotonic", lambda: next(clock))
+    with pytest.warns(UnconfirmedWarning), HandLink(virtual_hand.connect) as link:
+        link.arm(Action.hold)
+        link.exchange.transport.write = lambda data: None
+    assert capsys.readouterr().err == "asking the hand to stop: no answer yet\n"
+
+
 def test_a_link_that_was_taken_over_leaves_the_new_controller_its_hand(virtual_hand):
     old = HandLink(virtual_hand.connect)
     old.connect()

@@ -4,6 +4,8 @@ answer.
 
 import json
 import math
+import os
+import pty
 import socket
 import threading
 from types import SimpleNamespace
@@ -247,6 +249,9 @@ def test_a_socket_whose_other_end_has_gone_is_a_port_error(pair):
     ("name", "says"),
     [
         ("/dev/does_not_exist", ": no such port"),
+        ("/dev/null", " is not a serial port"),
+        (__file__, " is not a serial port"),
+        ("/dev", " is not a serial port"),
         ("socket://localhost:1", " cannot be opened"),
         *(
             (f"socket://{rest}", " cannot be opened")
@@ -266,11 +271,23 @@ def test_a_wrong_port_is_named_and_says_what_is_wrong(name, says):
         (OSError("[Errno 13] Permission denied"), "dialout"),
         (OSError("No such file or directory: X"), "no such port"),
         (FileNotFoundError("gone"), "no such port"),
+        (OSError("Could not configure port: (5, 'Input/output error')"), "opened: unplugged?"),
         (OSError("something else"), "cannot be opened: something else"),
     ],
 )
 def test_a_port_that_does_not_open_says_what_to_do(error, advice):
     assert advice in _open_advice("X", error)
+
+
+def test_a_port_that_was_unplugged_says_so():
+    ours, theirs = pty.openpty()
+    transport = open_transport(os.ttyname(theirs))
+    os.close(theirs)
+    os.close(ours)
+    with pytest.raises(PortError, match=r"has gone: unplugged\?$"):
+        transport.read(0.1)
+    with pytest.raises(PortError, match=r"takes no bytes: unplugged\?$"):
+        transport.write(b"x")
 
 
 class FakePort:

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from dataclasses import asdict, replace
+from pathlib import Path
 
 import gymnasium
 import numpy as np
@@ -19,6 +20,7 @@ from scipy.spatial.transform import Rotation
 import hpac
 from experiments import deployed
 from hpac_gym.bridge import FaultError, HandLink, HostBoard, VirtualHand, servo_from_pulses
+from hpac_gym.bridge.errors import LogWarning
 from hpac_gym.bridge.frame import Frame, encode
 from hpac_gym.deploy.arm import Nobody, arm_of
 from hpac_gym.deploy.commands import object_of
@@ -158,6 +160,31 @@ def test_packets_come_by_udp_and_what_is_none_is_counted():
     sender.close()
 
 
+def test_a_port_that_is_taken_names_the_pose_and_a_likely_cause():
+    packets = Packets(0)
+    says = f"--pose udp:{packets.port}: Address already in use; does another deployment run"
+    with pytest.raises(PoseError, match=says):
+        source_of(f"udp:{packets.port}")
+    packets.close()
+
+
+def test_a_hand_is_armed_once_there_is_a_pose_and_what_is_waited_for_is_told(monkeypatch, capsys):
+    clock = iter(range(100_000))
+    monkeypatch.setattr("hpac_gym.progress.monotonic", lambda: next(clock))
+    hand = VirtualHand()
+    packets = Packets(0)
+    with HandLink(hand.connect) as link:
+        monkeypatch.setattr(link, "arm", lambda **_: pytest.fail("armed"))
+        with pytest.raises(PoseError, match=f"within 5 s at udp:{packets.port}"):
+            run_episode(link, Observer(GRASP, CAN), Failing(None), packets, Nobody(), Log(None))
+    said = f"waiting for poses at udp:{packets.port}\n"
+    assert capsys.readouterr().err == said
+    with pytest.raises(DeployError, match=r"arm at 127\.0\.0\.1:9 did not say that it is ready"):
+        arm_of("udp:127.0.0.1:9").ready(lambda _: None, {"phase": "ready"})
+    assert capsys.readouterr().err == "waiting for the arm at 127.0.0.1:9\n"
+    packets.close()
+
+
 def test_the_first_pose_is_a_mean_and_its_absence_one_line():
     class Noisy(Fixed):
         def __init__(self):
@@ -191,6 +218,27 @@ def test_a_dry_run_prints_every_entry_and_moves_nothing(capsys):
     assert said.out.endswith("dry run: nothing was sent\n")
 
 
+def test_an_object_beside_where_the_task_draws_it_is_told(capsys):
+    beside = (*WORDS[:4], "0,0,0")
+    with pytest.warns(UserWarning, match=r"z = 0\.000 m in .*draws it at 0\.09. to 0\.1.. m"):
+        assert told(capsys, *beside, "--dry-run")[0] == 0
+
+
+def test_a_policy_that_places_the_wrist_tells_a_person_where(tmp_path, capsys, monkeypatch):
+    keys, enter = os.pipe()
+    os.write(enter, b"\n")
+    monkeypatch.setattr("sys.stdin", os.fdopen(keys))
+    words = ("grasp-any-wrist", *WORDS[1:], "--log", str(tmp_path / "log"), "--arm", "enter")
+    status, said = told(capsys, *words, "--port", "virtual")
+    os.close(enter)
+    assert status == 0, said.err
+    first = json.loads((tmp_path / "log").read_text().splitlines()[1])
+    lines = said.err.splitlines()[:5]
+    for line, name, value in zip(lines, ("x", "y", "z", "yaw"), first["action"][6:], strict=False):
+        assert line == f"arm: the policy places wrist_{name} {value:+.2f}"
+    assert lines[4] == "the object is seen; Enter: the hand stands there, close"
+
+
 def test_an_episode_leaves_a_log_and_a_hand_without_pulses(tmp_path, capsys):
     log = tmp_path / "log.jsonl"
     status, said = told(capsys, *WORDS, "--port", "virtual", "--log", str(log))
@@ -220,6 +268,17 @@ def test_an_episode_leaves_a_log_and_a_hand_without_pulses(tmp_path, capsys):
             ("grasp", "--object", "box:1,2", *WORDS[3:], "--dry-run"),
             "--object 'box:1,2' is not one",
         ),
+        ((*WORDS, "--env", POSTURE, "--dry-run"), "HPAC-Posture-v1 cannot be deployed"),
+        ((*WORDS, "--env", GRASP_ANY, "--dry-run"), f"{GRASP}, not on {GRASP_ANY}"),
+        ((*WORDS[:4], "0.9,0,0", "--dry-run"), "at x = 0.900 m in the hand's frame; HPAC-Grasp-v0"),
+        (
+            ("grasp-any-wrist", *WORDS[1:], "--port", "virtual"),
+            "grasp-any-wrist places the wrist (wrist_x, wrist_y, wrist_z, wrist_yaw), and --arm none",
+        ),
+        (
+            ("grasp-type", "--grasp", "rod", *WORDS[1:], "--port", "virtual"),
+            "moves none: take --arm enter or --arm udp:HOST:PORT",
+        ),
         ((*WORDS, "--port", "/dev/none"), "/dev/none"),
         ((*WORDS, "--port", "virtual", "--arm", "strong"), "--arm 'strong' is not none, enter or"),
         ((*WORDS, "--port", "virtual", "--log", "/proc/none/x"), "cannot write"),
@@ -228,6 +287,43 @@ def test_an_episode_leaves_a_log_and_a_hand_without_pulses(tmp_path, capsys):
 def test_wrong_words_are_one_line(words, says, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert says in refused(capsys, lambda: hpac.main(["deploy", *words]))
+
+
+def test_a_log_is_kept_from_the_next_deployment_that_names_it(tmp_path, capsys):
+    path = tmp_path / "log.jsonl"
+    words = [*WORDS, "--log", str(path), "--port"]
+    assert told(capsys, *words, "virtual")[0] == 0
+    steps = path.read_text()
+    assert told(capsys, *words, "/dev/none")[0] == 2
+    assert path.read_text() == steps
+    with path.open("a") as still_writing:
+        assert told(capsys, *words, "virtual")[0] == 0
+        still_writing.write("more")
+    assert (tmp_path / "log-1.jsonl").read_text() == steps + "more"
+    assert told(capsys, *words, "virtual")[0] == 0
+    kept = {name: (tmp_path / f"log{name}.jsonl").read_text() for name in ("", "-1", "-2")}
+    wires = {name: (tmp_path / f"log{name}.wire.jsonl").read_text() for name in kept}
+    assert [text.count("\n") for text in kept.values()] == [66] * 3
+    assert len(set(wires.values())) == 3
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
+def test_a_full_disk_of_the_wire_log_alone_is_a_warning(tmp_path, capsys):
+    (tmp_path / "log.wire.jsonl").symlink_to("/dev/full")
+    log = tmp_path / "log.jsonl"
+    with pytest.warns(LogWarning, match="link continues without it: .* No space") as said:
+        status, out = told(capsys, *WORDS, "--port", "virtual", "--log", str(log))
+    assert (status, len(said), out.err) == (0, 1, "")
+    assert "done: 64 commands" in out.out
+
+
+def test_a_wire_log_that_is_a_folder_is_one_line(tmp_path, capsys):
+    (tmp_path / "log.wire.jsonl").mkdir()
+    log = tmp_path / "log.jsonl"
+    status, said = told(capsys, *WORDS, "--port", "virtual", "--log", str(log))
+    assert status == 2
+    assert said.err.endswith("log.wire.jsonl': Is a directory\n")
+    assert len(said.err.splitlines()) == 1
 
 
 # --- what goes wrong on the way: the hand is opened and disarmed first

@@ -240,6 +240,24 @@ FAULTS = [
         "rate_limit = 0.0",
         r"rate_limit = 0\.0 rad/s must be finite and greater than 0 rad/s",
     ),
+    (
+        "a rate that no servo has",
+        r"^rate_limit = \d.*$",
+        "rate_limit = 1e9",
+        r"rate_limit = 1e\+09 rad/s, allowed at most 100 rad/s",
+    ),
+    (
+        "millimetres",
+        r"\[0.0060, 0.0075\]",
+        "[6.0, 7.5]",
+        r"digit thumb: length = 6 m, allowed at most 1 m",
+    ),
+    (
+        "a servo that winds up",
+        r"^cmc_gain = 1.0$",
+        "cmc_gain = 1e-9",
+        r"servo angle = 1.*e\+09 rad, allowed at most 3\.14159 rad",
+    ),
 ]
 
 
