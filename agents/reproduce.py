@@ -25,7 +25,7 @@ from hpac_gym.evaluation.evaluate import DEFAULT_ENV, env_id_of, evaluate
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import interquartile_mean, stratified_bootstrap
 from hpac_gym.output import markdown, writable_file, write_text
-from hpac_gym.physics.simulation import SET_UPS, default_engine
+from hpac_gym.physics.simulation import SET_UPS, is_installed
 from hpac_gym.policies import read_policy
 from hpac_gym.tasks.phases import PHASES
 
@@ -41,7 +41,7 @@ def elsewhere(policies: Sequence[str], judge: Judge) -> Iterator[Row]:
     """A row for each policy, engine and body."""
     for policy in policies:
         for engine, body in (set_up.split("/") for set_up in SET_UPS):
-            if engine == "pybullet" and default_engine() != "pybullet":
+            if engine == "pybullet" and not is_installed("pybullet"):
                 continue  # not installed; the command reports it
             options = [
                 {"engine": engine, "body": body, "randomize": randomize} for randomize in RANDOMIZED
@@ -202,7 +202,7 @@ def main(argv: list[str] | None = None) -> int:
     if args.table == "elsewhere":
         columns = ("policy", "judged on", *RANDOMIZED)
         rows = elsewhere(args.policy, judge)
-        if default_engine() != "pybullet":
+        if not is_installed("pybullet"):
             print("PyBullet is not installed: its rows are left out", file=sys.stderr)
     else:
         files = args.policy or race(args.runs, args.learner, args.seeds, args.minutes)

@@ -49,7 +49,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def calibrated(variant: HandVariant, seed: int) -> Hand:
-    """The hand that `hpac calibrate` makes of one sweep in the default engine.
+    """The hand that `hpac calibrate` makes of one sweep, in PyBullet where it is installed.
 
     The simulated hand is that of the environments, on the stand; the seed is the camera's. At rest
     the joints are against their stops, whatever the servos' zeros.

@@ -26,8 +26,12 @@ from hpac_gym.calibration.record import (
 from hpac_gym.model import HPAC, JOINTS, SERVO_INDEX, SERVOS, Hand
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.settings import HandSettings, ServoSettings, WorldSettings
+from hpac_gym.physics.simulation import is_installed
 from hpac_gym.physics.stand import HAND, WORLD, HandOnStand
 from hpac_gym.progress import progress
+
+ENGINE = "pybullet" if is_installed("pybullet") else "mujoco"
+"""PyBullet where it is installed: it has friction that grows with the tendons' load."""
 
 NEAR_STOP = np.deg2rad(0.3)
 """In a physics engine, a joint this close to its stop may rest at it [rad]."""
@@ -69,8 +73,8 @@ class Rig:
     """Angle of each servo's horn at the command 0 [rad]; at rest the tendons are slack
     nevertheless.
     """
-    engine: str | None = None
-    """Name of the physics engine; None is the default one."""
+    engine: str = ENGINE
+    """Name of the physics engine."""
 
     def sweep(
         self,
@@ -186,7 +190,7 @@ class Rig:
         return true.with_joint_pos(seen), servo, joint_pos
 
 
-def rig_of(built: Built, engine: str | None = None) -> Rig:
+def rig_of(built: Built, engine: str = ENGINE) -> Rig:
     """A hand in metal in a physics engine, without guide pins and sliding cable, with Table I's
     stops.
 

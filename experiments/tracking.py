@@ -163,7 +163,7 @@ def track(
     def rate(time: float) -> Array:
         return (synergy(time + 0.01) - synergy(time - 0.01))[:-1] / 0.02
 
-    sim = HandOnStand(rig.hand, settings, world, UPRIGHT)
+    sim = HandOnStand(rig.hand, settings, world, UPRIGHT, engine=rig.engine)
     sim.reset(synergy(0.0))
     servo = servo_from_synergy(synergy(0.0))
     seen = []

@@ -150,8 +150,8 @@ def take(item: Posture, hand: Hand = HPAC, visuals: bool = False) -> HandOnStand
     """Simulate a hand that moves from open to a posture; the caller closes it.
 
     In a gesture the thumb turns in front of the palm, the fingers close, and the thumb closes over
-    them, as a person makes a fist. With pictures the engine is MuJoCo, which draws smooth ones."""
-    sim = HandOnStand(hand, HAND, WORLD, UPRIGHT, visuals, "mujoco" if visuals else None)
+    them, as a person makes a fist."""
+    sim = HandOnStand(hand, HAND, WORLD, UPRIGHT, visuals)
     sim.reset(np.zeros(len(SERVOS)))
     command = command_to(item, hand)
     if item.kind == "gesture":

@@ -15,7 +15,7 @@ from hpac_gym.model import HPAC, JOINTS, Hand, load_hand
 from hpac_gym.model.checks import as_bounded_array, as_finite_vector
 from hpac_gym.physics.engine import SceneSetup
 from hpac_gym.physics.settings import BODIES, WorldSettings
-from hpac_gym.physics.simulation import ENGINES, default_engine
+from hpac_gym.physics.simulation import ENGINES
 from hpac_gym.settings import settings_from
 from hpac_gym.tasks.cameras import CameraNoise
 from hpac_gym.tasks.options import Option, check_choice
@@ -94,13 +94,7 @@ class Options:
             "`hpac_gym.envs.CameraNoise`, dictionary of its fields",
         ),
     )
-    engine: str = field(
-        default=None,
-        metadata=_told(
-            "the physics engine; None is PyBullet where it is installed, and MuJoCo elsewhere",
-            (None, *ENGINES),
-        ),
-    )
+    engine: str = field(default="mujoco", metadata=_told("the physics engine", tuple(ENGINES)))
     body: str = field(
         default="twin",
         metadata=_told(
@@ -134,7 +128,6 @@ class Options:
                 object.__setattr__(self, name, load_hand(given))
         object.__setattr__(self, "randomize", randomization(self.randomize))
         object.__setattr__(self, "noise", settings_from(CameraNoise(), self.noise, "noise"))
-        object.__setattr__(self, "engine", self.engine or default_engine())
 
     @property
     def visuals(self) -> bool:

@@ -17,7 +17,6 @@ from hpac_gym.envs.options import COMMON, check_num_envs
 from hpac_gym.envs.vector_env import HandVectorEnv
 from hpac_gym.errors import ParameterError
 from hpac_gym.model import HPAC
-from hpac_gym.physics.simulation import default_engine
 from hpac_gym.registration import Registered, add_row, row_of
 from hpac_gym.tasks.options import Option, options_of
 from hpac_gym.tasks.task import CONTROL_HZ, Task
@@ -112,7 +111,7 @@ def _many(
     holds the GIL.
     """
     task, own, others = _given(row, options)
-    if (others.get("engine") or default_engine()) != "pybullet":
+    if others.get("engine") != "pybullet":
         return HandVectorEnv(task, num_envs, autoreset_mode, **others)
     check_num_envs(num_envs)
     make = partial(_in_process, row, **own, **others)

@@ -99,11 +99,6 @@ def _held(setup: SceneSetup, servo: Array) -> SceneSetup:
     return replace(setup, synergy=synergy_from_servo(true, setup.hand))
 
 
-def default_engine() -> str:
-    """Default engine of an environment: PyBullet where it is installed, MuJoCo elsewhere."""
-    return "pybullet" if is_installed("pybullet") else "mujoco"
-
-
 def is_installed(engine: str) -> bool:
     """Whether the package of an engine is installed."""
     return importlib.util.find_spec(engine) is not None

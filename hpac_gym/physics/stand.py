@@ -6,7 +6,7 @@ from hpac_gym.model import Hand
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import SceneSetup
 from hpac_gym.physics.settings import Damping, HandSettings, WorldSettings
-from hpac_gym.physics.simulation import Simulation, default_engine, make_engine
+from hpac_gym.physics.simulation import Simulation, make_engine
 
 WORLD = WorldSettings(physics_hz=640, error_reduction=0.2)
 """Smaller time steps than in the environments, so that the integration is stable at twice the
@@ -31,7 +31,7 @@ class HandOnStand:
         world: settings of the integration.
         orientation: orientation of the hand frame in the world, quaternion xyzw.
         visuals: whether pictures will be rendered.
-        engine: name of the engine; None is the default one.
+        engine: name of the engine.
     """
 
     def __init__(
@@ -41,12 +41,12 @@ class HandOnStand:
         world: WorldSettings,
         orientation: tuple[float, ...],
         visuals: bool = False,
-        engine: str | None = None,
+        engine: str = "mujoco",
     ) -> None:
         self._setup = SceneSetup(
             None, hand=hand, hand_settings=settings, hand_quaternion=orientation
         )
-        self.simulation = Simulation(make_engine(engine or default_engine(), 1, world, visuals))
+        self.simulation = Simulation(make_engine(engine, 1, world, visuals))
         self.close = self.simulation.engine.close
         self.step = self.simulation.rest  # advances by a time [s], in whole physics steps
 

@@ -326,7 +326,7 @@ class Case:
         return self.options.get("engine") == "mujoco"
 
     def make(self, **options: Any) -> gymnasium.Env:
-        return gymnasium.make(self.id, **self.options, **options)
+        return gymnasium.make(self.id, **{"engine": "pybullet"} | self.options, **options)
 
     def play(self, env: gymnasium.Env, seed: int, limit: int = NEVER, **how: Any) -> Episode:
         return play(

@@ -19,7 +19,7 @@ from hpac_gym.envs.randomization import PRESETS, Randomization
 from hpac_gym.errors import EpisodeError, ShapeError, WorkspaceError
 from hpac_gym.model import HPAC, SERVOS
 from hpac_gym.physics.settings import HandSettings
-from hpac_gym.physics.simulation import default_engine
+from hpac_gym.physics.simulation import ENGINES
 from hpac_gym.registration import GRASP, GRASP_TYPE, IDS, POSTURE
 from hpac_gym.tasks.cameras import CameraNoise
 from hpac_gym.tasks.grip import Grip
@@ -406,13 +406,13 @@ def memory() -> int:
         return int(file.read().split()[1]) * os.sysconf("SC_PAGESIZE")
 
 
-LOST = {GRASP_TYPE: 0.1e6} if default_engine() == "pybullet" else {}
+LOST = {(GRASP_TYPE, "pybullet"): 0.1e6}
 """Most that an episode loses for good: each of this id loads a hand, whose wrist is another, and
 PyBullet keeps the direct solver of a world that it has reset, measured 0.08 MB [bytes].
 """
 
 
-def run_randomly(name: str, steps: int, growth: float) -> None:
+def run_randomly(name: str, engine: str, steps: int, growth: float) -> None:
     """Random actions, each held for some steps, in the hardest randomization; no NaN, no escape,
     memory grows by less [bytes], but for what is `LOST`.
     """
@@ -425,7 +425,7 @@ def run_randomly(name: str, steps: int, growth: float) -> None:
         dropped_frames=(0.0, 0.5),
     )
     rng = np.random.default_rng(1)
-    with gymnasium.make(name, obs="privileged", randomize=hardest) as env:
+    with gymnasium.make(name, engine=engine, obs="privileged", randomize=hardest) as env:
         for seed in reversed(range(8)):  # with the wrists of an id, for which hands are loaded
             env.reset(seed=seed)
         settled = None
@@ -451,22 +451,24 @@ def run_randomly(name: str, steps: int, growth: float) -> None:
                 assert np.all(np.abs(state.object_pos) < 3.0)
             if terminated or truncated:
                 env.reset()
-                lost += LOST.get(name, 0.0)
+                lost += LOST.get((name, engine), 0.0)
             if step == steps // 3:
                 settled = memory() - lost
         assert memory() - lost - settled < growth
         assert len(os.listdir("/proc/self/fd")) == files
 
 
+@pytest.mark.parametrize("engine", ENGINES)
 @every_id
-def test_random_actions_break_nothing(name):
-    run_randomly(name, RANDOM_STEPS, growth=8e6)
+def test_random_actions_break_nothing(name, engine):
+    run_randomly(name, engine, RANDOM_STEPS, growth=8e6)
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("engine", ENGINES)
 @every_id
-def test_a_million_random_actions_in_all_break_nothing(name):
-    run_randomly(name, 350_000, growth=30e6)
+def test_a_million_random_actions_in_all_break_nothing(name, engine):
+    run_randomly(name, engine, 350_000, growth=30e6)
 
 
 # Misuse ---------------------------------------------------------------------------------------

@@ -108,7 +108,7 @@ def test_what_the_text_names_holds_the_object_and_crushes_nothing(name: str):
     """In most of three episodes each of `HOLDING` touches it, and the forces add up to less than 80
     N.
     """
-    with gymnasium.make(ID, grasp=name) as env:
+    with gymnasium.make(ID, grasp=name, engine="pybullet") as env:
         seen = [held_by(env, seed) for seed in range(300, 303)]
     for part in HOLDING[name]:
         assert sum(part in parts for parts, _ in seen) >= 2, part
@@ -125,7 +125,7 @@ def test_what_the_text_names_holds_the_object_and_crushes_nothing(name: str):
     ],
 )
 def test_scripted_closure_beats_random_actions(name: str, seeds: range, least: int):
-    with gymnasium.make(ID, grasp=name) as env:
+    with gymnasium.make(ID, grasp=name, engine="pybullet") as env:
         scripted = sum(succeeds(env, seed) for seed in seeds)
         wild = sum(succeeds(env, seed, Wild(seed)) for seed in seeds)
     assert scripted >= least
@@ -138,7 +138,7 @@ def test_a_closed_grasp_creeps_little_in_ten_seconds(name: str):
     """Less than 2 mm for a power grasp and 5 mm for any other, from one second after the hold
     begins.
     """
-    with gymnasium.make(ID, grasp=name) as env:
+    with gymnasium.make(ID, grasp=name, engine="pybullet") as env:
         assert any(succeeds(env, seed) for seed in range(10))
         simulation = env.unwrapped.episodes.simulation
         places = []

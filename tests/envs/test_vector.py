@@ -477,9 +477,7 @@ def test_make_vec_on_pybullet_makes_gymnasiums_processes_with_the_same_episodes(
     its.close()
 
 
-def test_make_vec_on_another_engine_makes_one_vector_environment(monkeypatch):
-    """Shown without that engine: with the default engine, renamed."""
-    monkeypatch.setattr("hpac_gym.envs.registered.default_engine", lambda: "another")
+def test_make_vec_makes_one_vector_environment():
     with_limit = gymnasium.make_vec(POSTURE, num_envs=2)
     assert type(with_limit) is HandVectorEnv
     with_limit.reset(seed=0)
