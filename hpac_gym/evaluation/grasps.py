@@ -6,7 +6,7 @@ import argparse
 import json
 import sys
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import success_counts
 from hpac_gym.evaluation.workers import shared
 from hpac_gym.output import markdown, writable_folder, write_text
+from hpac_gym.physics.simulation import ENGINES
 from hpac_gym.policies import Policy
 from hpac_gym.policies.loading import NAMES, NORMALIZE, about, load_policy
 from hpac_gym.registration import GRASP
@@ -29,6 +30,7 @@ from hpac_gym.tasks.grasp_data import GRASPS, NOMINAL, named_grasp
 
 CHUNK = 5  # episodes per job of a worker
 RANDOM = "random"
+DEFAULTS = {"variant": NOMINAL, "engine": "mujoco"}
 COLUMNS = ("grasp", "object", "policy", "success", "95 % interval", "hold force", "drops by phase")
 _ABOUT = """\
 Runs a policy and a random policy on the sixteen named grasps over the same held-out episodes. Prints a table of success
@@ -88,10 +90,14 @@ def run_trial(env: gymnasium.Env, policy: Policy, seed: int) -> Trial:
 
 
 def run_trials(
-    policy: str, grasp: str, variant: str, seeds: Sequence[int], normalize: str | None = None
+    policy: str,
+    grasp: str,
+    options: Mapping[str, str],
+    seeds: Sequence[int],
+    normalize: str | None = None,
 ) -> list[Trial]:
-    """Run episodes of one policy at one grasp in a new environment."""
-    with make_env(GRASP, grasp=grasp, variant=variant) as env:
+    """Run episodes of one policy at one grasp in a new environment with these options."""
+    with make_env(GRASP, grasp=grasp, **options) as env:
         actor = load_policy(policy, env, normalize)
         return [run_trial(env, actor, seed) for seed in seeds]
 
@@ -101,7 +107,7 @@ def benchmark(
     grasps: Sequence[str],
     episodes: int,
     *,
-    variant: str = NOMINAL,
+    options: Mapping[str, str] = DEFAULTS,
     seed_start: int = HELD_OUT_SEED,
     workers: int = 1,
     normalize: str | None = None,
@@ -114,16 +120,17 @@ def benchmark(
         PolicyError: A policy cannot be loaded, or was made for another environment.
         WorkerError: A worker process was ended from outside.
     """
+    variant = options["variant"]
     for grasp in grasps:
         named_grasp(grasp).variant(variant)
     for policy in policies:
         run_trials(
-            policy, grasps[0], variant, (), normalize
+            policy, grasps[0], options, (), normalize
         )  # errors are raised here, not in a worker
     seeds = range(seed_start, seed_start + episodes)
     parts = [seeds[start : start + CHUNK] for start in range(0, episodes, CHUNK)]
     cells = [(policy, grasp) for grasp in grasps for policy in policies]
-    jobs = [(policy, grasp, variant, part, normalize) for policy, grasp in cells for part in parts]
+    jobs = [(policy, grasp, options, part, normalize) for policy, grasp in cells for part in parts]
     trials_of: dict[tuple[str, str], list[Trial]] = {cell: [] for cell in cells}
     done = shared(run_trials, jobs, workers, "grasps")
     for (policy, grasp, *_), trials in zip(jobs, done, strict=True):
@@ -173,6 +180,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--variant",
         help="object variant: large, small, heavy, slippery or shape (default: nominal)",
     )
+    parser.add_argument("--engine", choices=ENGINES, help="physics (default: mujoco)")
     add_seeds_and_workers(parser)
     parser.add_argument(
         "--no-baselines", action="store_true", help="do not also run the random policy"
@@ -195,7 +203,7 @@ def run(options: argparse.Namespace) -> int:
     # Imported here so that the command's help needs no Pillow.
     from hpac_gym.evaluation.pictures import portrait, write_pictures
 
-    variant = options.variant or NOMINAL
+    made = {name: getattr(options, name) or value for name, value in DEFAULTS.items()}
     names = list(dict.fromkeys(options.grasps or GRASPS))
     policies = list(
         dict.fromkeys([options.policy] if options.no_baselines else [options.policy, RANDOM])
@@ -205,14 +213,14 @@ def run(options: argparse.Namespace) -> int:
         policies,
         names,
         options.episodes,
-        variant=variant,
+        options=made,
         seed_start=options.seed_start,
         workers=options.workers,
         normalize=options.normalize,
     )
     result = {
         "task": GRASP,
-        "variant": variant,
+        **made,
         "first_seed": options.seed_start,
         "grasps": [row.summary() for row in rows],
     }
@@ -230,7 +238,7 @@ def run(options: argparse.Namespace) -> int:
         for row in shown
     ]
     jobs = [
-        (options.policy, row.grasp, seed, variant, options.normalize)
+        (options.policy, row.grasp, seed, made, options.normalize)
         for row, seed in zip(shown, seeds, strict=True)
     ]
     seen = zip(shown, shared(portrait, jobs, options.workers, "pictures"), strict=True)

@@ -14,7 +14,6 @@ from hpac_gym.output import replacing
 from hpac_gym.physics.engine import Viewpoint
 from hpac_gym.policies.loading import load_policy
 from hpac_gym.registration import GRASP
-from hpac_gym.tasks.grasp_data import NOMINAL
 
 VIEW = Viewpoint(width=360, height=330, distance=0.45, yaw_deg=205.0, pitch_deg=-14.0)
 VIEW_CENTRE = np.array([0.045, 0.0, 0.09])
@@ -39,16 +38,16 @@ class Portrait:
 
 
 def portrait(
-    policy: str, grasp: str, seed: int, variant: str = NOMINAL, normalize: str | None = None
+    policy: str, grasp: str, seed: int, options: Mapping[str, str], normalize: str | None = None
 ) -> Portrait:
-    """Picture of the end of the episode with that seed.
+    """Picture of the end of the episode with that seed; `options` are those of the environment.
 
     Raises:
         GraspError: The grasp or variant does not exist.
         PolicyError: The policy cannot be loaded, or was made for another environment.
     """
     with make_env(
-        GRASP, grasp=grasp, variant=variant, render_mode="rgb_array"
+        GRASP, grasp=grasp, **options, render_mode="rgb_array"
     ) as env:  # else objects have no colours
         *_, last = run_episodes(single(env), [load_policy(policy, env, normalize)], [seed])
         return Portrait(env.unwrapped.picture(VIEW, VIEW_CENTRE), last.success)
