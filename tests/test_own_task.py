@@ -233,7 +233,9 @@ def test_an_id_of_the_package_or_of_nobody_is_refused():
 
 
 def test_an_unknown_option_is_named():
-    with pytest.raises(TypeError, match="limits"):
+    with pytest.raises(
+        TypeError, match="unknown options limits: there are config, object, limit, hand"
+    ):
         gymnasium.make("mytasks:My-Gentle-v0", limits=3)
 
 
