@@ -25,7 +25,7 @@ from hpac_gym.tasks.task import Task
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = (ROOT / "docs" / "own_task.md").read_text(encoding="utf-8")
-WEIGHT, CHANGED, FRESH, USED = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)
+CHANGED, FRESH, USED = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)
 COMMANDS = re.search(r"```\n(hpac evaluate.*?)```", PAGE, flags=re.DOTALL)[1].splitlines()
 IDS = ("My-Gentle-v0", "My-Touch-v0")
 
@@ -69,14 +69,6 @@ def to_the_end(env: gymnasium.Env) -> Iterator[tuple]:
 def test_the_page_is_short_and_a_task_from_nothing_fits_on_a_screen():
     assert len(PAGE.split()) <= 500
     assert len(FRESH.splitlines()) <= 50
-
-
-def test_a_weight_is_one_number():
-    names: dict = {}
-    exec(WEIGHT, names)
-    with names["env"] as env:
-        assert env.unwrapped.task.config.weights.effort == -0.1
-        assert env.unwrapped.task.config.weights.carry == Grasp().config.weights.carry
 
 
 def test_a_changed_task_has_its_reward_term_its_sampling_and_its_entry():
@@ -233,7 +225,9 @@ def test_an_id_of_the_package_or_of_nobody_is_refused():
 
 
 def test_an_unknown_option_is_named():
-    with pytest.raises(TypeError, match="limits"):
+    with pytest.raises(
+        TypeError, match="unknown options limits: there are config, object, limit, hand"
+    ):
         gymnasium.make("mytasks:My-Gentle-v0", limits=3)
 
 

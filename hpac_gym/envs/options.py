@@ -1,6 +1,6 @@
 """Options that every environment has: one field each, with its meaning, default and check."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import astuple, dataclass, field, fields, replace
 from numbers import Real
 from os import PathLike
@@ -66,8 +66,8 @@ class Options:
     obs: str = field(
         default="deploy",
         metadata=_told(
-            "observation: that of a hand and a camera; with what the task's own kinds add; with terms known "
-            "only in simulation, for a critic; or with an image",
+            "observation: that of a hand and a camera; with terms known only in simulation, for a "
+            "critic; or with an image",
         ),
     )
     """Its values are those of the task: `Task.observations`."""
@@ -150,10 +150,18 @@ def checked_options(**given: Any) -> Options:
         TypeError: An unknown option.
         ParameterError: Unknown value, or a bad hand file.
     """
-    known = [option.name for option in COMMON]
+    check_names(given, [option.name for option in COMMON])
+    return Options(**given)
+
+
+def check_names(given: Iterable[str], known: Iterable[str]) -> None:
+    """Refuse names of options.
+
+    Raises:
+        TypeError: Some are unknown.
+    """
     if unknown := [name for name in given if name not in known]:
         raise TypeError(f"unknown options {', '.join(unknown)}: there are {', '.join(known)}")
-    return Options(**given)
 
 
 def check_num_envs(num_envs: int) -> None:

@@ -13,13 +13,16 @@ import gymnasium
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, VectorEnv
 
 from hpac_gym.envs.hand_env import GoalEnv, HandEnv
-from hpac_gym.envs.options import COMMON, check_num_envs
+from hpac_gym.envs.options import COMMON, check_names, check_num_envs
 from hpac_gym.envs.vector_env import HandVectorEnv
 from hpac_gym.errors import ParameterError
 from hpac_gym.model import HPAC
 from hpac_gym.registration import Registered, add_row, row_of
 from hpac_gym.tasks.options import Option, options_of
 from hpac_gym.tasks.task import CONTROL_HZ, Task
+
+_UNLISTED = ("transmit", "physics", "max_episode_steps")
+"""Arguments of the environments that no page lists: not options of an id."""
 
 
 def make_task(env_id: str, **options: Any) -> Task:
@@ -45,15 +48,22 @@ def options_of_id(env_id: str) -> tuple[Option, ...]:
     """
     row = row_of(env_id)
     task = make_task(env_id)
-    common = [option for option in COMMON if option.name not in task.unused]
+    own = ", ".join(f"*{kind}*" for kind in task.sensed_terms)
+    own = f"; {own}: with what this task alone senses" if own else ""
     common = [
-        replace(option, values=task.observations) if option.name == "obs" else option
-        for option in common
+        replace(option, values=task.observations, meaning=option.meaning + own)
+        if option.name == "obs"
+        else option
+        for option in _common(task)
     ]
     return tuple(
         replace(option, default=row.defaults.get(option.name, option.default))
         for option in (*options_of(row.make), *common)
     )
+
+
+def _common(task: Task) -> list[Option]:
+    return [option for option in COMMON if option.name not in task.unused]
 
 
 def _own_options(row: Registered) -> list[str]:
@@ -88,6 +98,8 @@ def _given(row: Registered, options: dict[str, Any]) -> tuple[Task, dict[str, An
     """The task, its own options, and the other ones."""
     own = {name: options.pop(name) for name in _own_options(row) if name in options}
     task = _task(row, own)
+    known = [*_own_options(row), *(option.name for option in _common(task))]
+    check_names([name for name in options if name not in (*_UNLISTED, *task.unused)], known)
     if task.hands != "nominal" and options.get("hand", HPAC) is not HPAC:
         raise ParameterError(
             f"hands {task.hands!r} and a hand of one's own were given: give either"
@@ -133,4 +145,6 @@ def __getattr__(name: str) -> Callable[..., Any]:
     kind, _, env_id = name.partition(" ")
     if kind not in _MAKERS or not env_id:
         raise AttributeError(f"module {__name__} has no attribute {name}")
-    return partial(_MAKERS[kind], row_of(env_id))
+    made = partial(_MAKERS[kind], row_of(env_id))
+    made.metadata = HandEnv.metadata  # by which Gymnasium collects the pictures of "rgb_array_list"
+    return made

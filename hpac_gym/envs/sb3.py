@@ -10,6 +10,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
+from hpac_gym.envs.vector_env import HandVectorEnv
 from hpac_gym.errors import ParameterError, install
 
 try:
@@ -57,11 +58,17 @@ class HandVecEnv(VecEnv):
         `set_options` gave.
 
         Raises:
-            ParameterError: The environments were given different options.
+            ParameterError: The environments were given options of different names, or on PyBullet
+                different options.
         """
-        options = self._options[0]
-        if any(other != options for other in self._options):
-            raise ParameterError("set_options: all environments take the same options")
+        options, *others = self._options
+        if any(other is not options for other in others):
+            names = {", ".join(sorted(own)) or "none" for own in self._options}
+            if len(names) > 1 or (options and not isinstance(self.envs, HandVectorEnv)):
+                raise ParameterError(
+                    f"set_options: one for all, or on MuJoCo one for each with the same names; given: {'; '.join(sorted(names))}"
+                )
+            options = {name: [own[name] for own in self._options] for name in options}
         seen, self.infos = self.envs.reset(seed=self._seeds, options=options or None)
         self.reset_infos = [_info(self.infos, world) for world in range(self.num_envs)]
         self._reset_seeds()
@@ -97,7 +104,8 @@ class HandVecEnv(VecEnv):
         """Set an attribute of some environments, by default of all, to one value; see
         `HandVectorEnv.set_attr`.
         """
-        values = list(self.envs.get_attr(attr_name))
+        kept = indices is not None and self.has_attr(attr_name)
+        values = list(self.envs.get_attr(attr_name)) if kept else [None] * self.num_envs
         for world in self._get_indices(indices):
             values[world] = value
         self.envs.set_attr(attr_name, values)

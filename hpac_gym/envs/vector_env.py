@@ -41,6 +41,13 @@ ATTRIBUTES = (
     "task",
 )
 """Attributes that `HandVectorEnv.get_attr` returns."""
+METHODS = ("render", "compute_reward", "compute_terminated", "compute_truncated")
+"""Methods that `HandVectorEnv.call` calls; all but the first are those of tasks with goals."""
+
+
+def _require(method: str, name: str, *known: str) -> None:
+    if name not in known:
+        raise AttributeError(f"{method}: {name!r} is not one of {', '.join(known)}")
 
 
 class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
@@ -202,8 +209,7 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         Raises:
             AttributeError: `name` is not one of `ATTRIBUTES`.
         """
-        if name not in ATTRIBUTES:
-            raise AttributeError(f"get_attr: {name!r} is not one of {', '.join(ATTRIBUTES)}")
+        _require("get_attr", name, *ATTRIBUTES)
         if name == "randomization":
             return tuple(self.episodes.randomizations)
         name = f"single_{name}" if name.endswith("_space") else name
@@ -226,15 +232,16 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         self.episodes.randomizations[:] = [randomization(value) for value in values]
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
-        """Results of "render" in each environment, or of "compute_reward", "compute_terminated" or
-        "compute_truncated" in those of a task with goals; or the values of an attribute.
+        """Results of one of `METHODS` in each environment, or the values of an attribute.
 
         Raises:
             AttributeError: Any other name.
         """
+        methods = METHODS if self._goals else METHODS[:1]
+        _require("call", name, *methods, *ATTRIBUTES)
         if name == "render":
             return self.render() or (None,) * self.num_envs
-        if self._goals is not None and name.startswith("compute_") and hasattr(self._goals, name):
+        if name in methods:
             return (getattr(self._goals, name)(*args, **kwargs),) * self.num_envs
         return self.get_attr(name)
 

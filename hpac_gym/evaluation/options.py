@@ -3,6 +3,7 @@
 import argparse
 import json
 import math
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,7 @@ OPTIONS = {
     "obs": "deploy, privileged, ...: what is observed",
     "reward": "dense or sparse",
     "randomize": "nominal, hand, link or full",
-    "objects": "split of the objects: train, test or real",
+    "objects": "split of the objects: train, wide, test or real",
     "hands": "split of the hands: nominal, train or test",
     "types": "types of grasps: all, train, test or one's name",
     "grasp": "a named grasp, or a grasp type, for the tasks that have them",
@@ -56,7 +57,7 @@ def add_env_options(
         action="append",
         default=[],
         metavar="NAME=VALUE",
-        help="any other option, such as config.weights.effort=-0.1 or object.mass=0.3; may be repeated",
+        help="any other option, such as config.weights.effort=-0.1 or config.mass=0.1,0.4; may be repeated",
     )
 
 
@@ -99,8 +100,9 @@ def with_set(options: Mapping[str, Any], texts: list[str]) -> dict[str, Any]:
             place = place[parent]
             if not isinstance(place, dict):
                 raise ParameterError(f"--set '{text}': {parent} is {place!r}, and has no {name}")
+        numbers = re.fullmatch(r"[-+.\deE\s]+(,[-+.\deE\s]+)+", value)
         try:
-            place[name] = json.loads(value)
+            place[name] = json.loads(f"[{value}]" if numbers else value)
         except ValueError:
             place[name] = value
     return chosen

@@ -151,7 +151,10 @@ def read_model(path: Path, env: gymnasium.Env[Any, Any], normalize: str | None =
     for name in ("observation_space", "action_space"):
         ours = getattr(env, name)
         if (theirs := getattr(policy, name)) != ours:
-            raise PolicyError(f"model '{path}' has the {name} {theirs}, {id_of(env)} has {ours}")
+            its, our = _briefly(theirs, ours)
+            raise PolicyError(
+                f"model '{path}' has the {name} {its}, {id_of(env)} has {our}: name the model's environment with --env"
+            )
     if statistics is None:
         if normalised and normalize != NONE:
             raise PolicyError(
@@ -160,6 +163,25 @@ def read_model(path: Path, env: gymnasium.Env[Any, Any], normalize: str | None =
             )
         return SB3Policy(policy)
     return SB3Policy(policy, _statistics(statistics, statistics.stat().st_mtime_ns, policy))
+
+
+def _briefly(theirs: gymnasium.Space[Any], ours: gymnasium.Space[Any]) -> tuple[str, ...]:
+    """Two spaces that differ: their shapes, or if these agree the bounds of the first entry that
+    differs.
+    """
+    told = _shape(theirs), _shape(ours)
+    if told[0] != told[1]:
+        return told
+    flat: list[Any] = [gymnasium.spaces.flatten_space(space) for space in (theirs, ours)]
+    bounds = [np.stack([space.low, space.high], axis=1) for space in flat]
+    at = int((bounds[0] != bounds[1]).any(axis=1).argmax())
+    return tuple("{} with entry {} in {:g}…{:g}".format(told[0], at, *ends[at]) for ends in bounds)
+
+
+def _shape(space: gymnasium.Space[Any]) -> str:
+    if isinstance(space, gymnasium.spaces.Dict):
+        return ", ".join(f"{name} {_shape(part)}" for name, part in space.items())
+    return f"{space.shape} {space.dtype}" if isinstance(space, gymnasium.spaces.Box) else str(space)
 
 
 @lru_cache(maxsize=8)
@@ -203,8 +225,15 @@ def _statistics(path: Path, _changed: int, policy: Any) -> Any:
         statistics = load_from_pkl(path)
         if not isinstance(statistics, VecNormalize):
             raise TypeError(f"it holds a {type(statistics).__name__}")
-        space = policy.observation_space
-        statistics.normalize_obs(space.sample())
+        if (wanted := policy.observation_space) != statistics.observation_space:
+            its, model = _briefly(statistics.observation_space, wanted)
+            raise PolicyError(
+                f"'{path}' holds VecNormalize statistics of {its}, the model observes {model}: name its own with "
+                f"--normalize, or --normalize {NONE} if it has none"
+            )
+        statistics.normalize_obs(wanted.sample())
+    except PolicyError:
+        raise
     except Exception as error:  # a damaged file can make its reader raise anything
         raise PolicyError(
             f"'{path}' holds no VecNormalize statistics of the model: {error!r}".splitlines()[0]

@@ -71,12 +71,12 @@ CHOICES = [
 
 @pytest.mark.parametrize(("name", "option"), CHOICES)
 def test_an_option_takes_the_values_of_its_table_and_no_other(name, option):
-    """What needs an engine that is not there says so."""
+    """What needs an engine that is not there says so; Gymnasium itself reads the render mode."""
     given = {"grasp": "rod"} if option.name == "variant" else {}
     for value in option.values:
         if value != "light" and (value != "pybullet" or find_spec("pybullet")):
             gymnasium.make(name, **given, **{option.name: value}).close()
-    for wrong in ("nonsense", 3, ["nonsense"]):
+    for wrong in ("nonsense", 3, ["nonsense"])[: 1 if option.name == "render_mode" else 3]:
         with pytest.raises(HpacError, match=r"nonsense|3"):
             gymnasium.make(name, **given, **{option.name: wrong})
 
@@ -85,6 +85,9 @@ def test_every_option_says_what_it_means():
     for options in OPTIONS.values():
         assert len({option.name for option in options}) == len(options)
         assert all(option.meaning for option in options)
+    for name, kinds in ((GRASP, None), (GRASP_ANY, "*load*, *points*")):
+        (meaning,) = (option.meaning for option in OPTIONS[name] if option.name == "obs")
+        assert kinds in meaning if kinds else "this task alone" not in meaning
 
 
 @pytest.mark.parametrize("name", IDS)
@@ -110,6 +113,14 @@ def test_an_id_takes_the_defaults_of_its_table_and_no_other_option(name):
 def test_what_no_environment_offers_is_refused_too(make):
     with pytest.raises(TypeError, match="unknown options world: there are hand, model"):
         make(Grasp(), world=WorldSettings())
+
+
+@pytest.mark.parametrize("make", [gymnasium.make, gymnasium.make_vec])
+def test_an_unknown_option_is_refused_with_those_that_the_id_has(make):
+    for name in IDS:
+        known = ", ".join(option.name for option in OPTIONS[name])
+        with pytest.raises(TypeError, match=f"unknown options foo: there are {known}( |$)"):
+            make(name, foo=1)
 
 
 @pytest.mark.parametrize(

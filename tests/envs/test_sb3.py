@@ -1,5 +1,6 @@
 """`HandVecEnv` against Stable-Baselines3's own `DummyVecEnv`, to the bit."""
 
+from dataclasses import replace
 from functools import partial
 
 import gymnasium
@@ -11,6 +12,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor, VecNormali
 from hpac_gym.envs.randomization import PRESETS
 from hpac_gym.envs.sb3 import HandVecEnv
 from hpac_gym.errors import ParameterError
+from tests.envs.episodes import EASY
 
 GRASP = "HPAC-Grasp-v0"
 POSTURE = "HPAC-Posture-v1"
@@ -94,15 +96,46 @@ def test_attributes_and_methods_reach_the_environments_that_are_named():
     assert envs.get_attr("randomization") == [PRESETS["full"], PRESETS["nominal"], PRESETS["full"]]
     envs.reset()
     assert [bool(info.get("randomized")) for info in envs.reset_infos] == [True, False, True]
-    with pytest.raises(AttributeError, match=r"'reward' cannot be set.*randomization"):
-        envs.envs.set_attr("reward", "sparse")
+    for indices in (None, 1):
+        with pytest.raises(AttributeError, match=r"set_attr: 'foo' cannot be set.*randomization"):
+            envs.set_attr("foo", 1, indices)
+    with pytest.raises(AttributeError, match=r"call: 'reset' is not one of render, action_space"):
+        envs.env_method("reset")
+    assert envs.env_method("render") == [None] * 3
     with pytest.raises(ParameterError, match="2 values were given for 3"):
         envs.envs.set_attr("randomization", ["full", "hand"])
     envs.set_options([{"setup": None}, {}, {}])
-    with pytest.raises(ParameterError, match="same options"):
+    with pytest.raises(ParameterError, match="with the same names; given: none; setup"):
         envs.reset()
     assert envs.env_is_wrapped(gymnasium.Wrapper) == [False] * 3
     assert envs.get_images() == [None] * 3
+    envs.close()
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        (POSTURE, [{"goal": np.full(15, 0.1 * place)} for place in range(3)]),
+        (GRASP, [{"setup": replace(EASY, yaw=0.1 * place)} for place in range(3)]),
+    ],
+)
+def test_options_of_each_environment_are_as_in_dummy_vec_env(name, options):
+    ours, its = pair(name)
+    for given in (options, options[2]):
+        for venv in (ours, its):
+            venv.seed(7)
+            venv.set_options(given)
+        np.testing.assert_equal(ours.reset(), dict_or_array(its.reset()))
+    ours.close()
+    its.close()
+
+
+@pytest.mark.pybullet
+def test_on_pybullet_options_are_the_same_for_all():
+    envs = HandVecEnv(POSTURE, 2, engine="pybullet")
+    envs.set_options([{"goal": np.zeros(15)}, {"goal": np.zeros(15)}])
+    with pytest.raises(ParameterError, match=r"one for all, .*; given: goal"):
+        envs.reset()
     envs.close()
 
 

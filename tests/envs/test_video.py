@@ -15,3 +15,10 @@ def test_gymnasiums_wrapper_films_an_episode(tmp_path):
     frames = iio.imread(film)
     assert frames.shape == (9, 360, 480, 3)
     assert frames.std() > 5
+
+
+def test_gymnasium_collects_the_pictures_of_an_episode():
+    with gymnasium.make("HPAC-Grasp-v0", render_mode="rgb_array_list") as env:
+        env.reset(seed=0)
+        env.step(env.action_space.sample())
+        assert [frame.shape for frame in env.render()] == [(360, 480, 3)] * 2

@@ -40,6 +40,9 @@ def test_a_weight_is_set_by_the_path_of_its_name():
         ("randomize=null", None),
         ("a=true", True),
         ("a=[0.5, 1]", [0.5, 1]),
+        ("a=-0.7,1e-1", [-0.7, 0.1]),
+        ("a=1,", "1,"),
+        ("a=1,x", "1,x"),
         ("a=mine=yours", "mine=yours"),
     ],
 )
@@ -90,6 +93,7 @@ def test_every_command_that_makes_an_environment_has_them_all(command, capsys):
     told = capsys.readouterr().out
     missing = [name for name in (*OPTIONS, "set", "env", "normalize") if f"--{name}" not in told]
     assert not missing
+    assert "train, wide, test or real" in told.replace("\n", " ")
 
 
 def test_an_option_that_the_environment_refuses_ends_in_one_line(capsys):

@@ -2,9 +2,11 @@
 their world.
 """
 
+import gc
 import hashlib
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import fields, replace
 from functools import cache
 
@@ -377,18 +379,24 @@ def test_what_mujoco_cannot_do_is_refused():
 # ---------------------------------------------------------------------------------------------------------
 
 
-def test_pictures_show_their_world():
-    engine = MuJoCoEngine(2, visuals=True)
-    engine.reset([0, 1], [primitive("cylinder"), primitive("box")])
+def filmed(*shapes: str) -> MuJoCoEngine:
+    """An engine with a world of each object."""
+    engine = MuJoCoEngine(len(shapes), visuals=True)
+    engine.reset(range(len(shapes)), [primitive(shape) for shape in shapes])
+    return engine
+
+
+def picture(engine: MuJoCoEngine, world: int = 0, width: int = 120) -> np.ndarray:
     target = HAND_POSITION + primitive().hand_rotation @ [0.03, 0.0, 0.1]
-    views = [(0, 120), (1, 120), (0, 160)]
     try:
-        pictures = [
-            engine.picture(world, Viewpoint(width=width, height=90), target)
-            for world, width in views
-        ]
+        return engine.picture(world, Viewpoint(width=width, height=90), target)
     except PhysicsError as error:
         pytest.skip(f"no OpenGL here: {error}")
+
+
+def test_pictures_show_their_world():
+    engine = filmed("cylinder", "box")
+    pictures = [picture(engine, world, width) for world, width in ((0, 120), (1, 120), (0, 160))]
     assert [picture.shape for picture in pictures] == [(90, 120, 3), (90, 120, 3), (90, 160, 3)]
     assert all(picture.dtype == np.uint8 for picture in pictures)
     blue, red = (picture[45, 60].astype(int) for picture in pictures[:2])
@@ -396,6 +404,31 @@ def test_pictures_show_their_world():
     assert red[0] > red[2] + 40
     engine.close()
     engine.close()
+
+
+def test_an_engine_that_is_forgotten_takes_nothing_from_the_pictures_of_another():
+    """In this thread and in another one, where the engine that is left is used too."""
+    engines = [filmed("cylinder"), filmed("cylinder")]
+    list(map(picture, engines))
+    engine = filmed("box")
+    expected = picture(engine)
+
+    def forget() -> np.ndarray:
+        engines.pop()
+        gc.collect()
+        return picture(engine)
+
+    np.testing.assert_array_equal(forget(), expected)
+    with ThreadPoolExecutor() as pool:
+        np.testing.assert_array_equal(pool.submit(forget).result(), expected)
+    np.testing.assert_array_equal(picture(engine), expected)
+
+
+def test_a_program_may_end_with_an_engine_that_is_open():
+    picture(filmed("box"))
+    script = "from tests.physics.test_mujoco_engine import *; kept = filmed('box'); picture(kept)"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_without_opengl_a_picture_is_one_clear_line(monkeypatch):

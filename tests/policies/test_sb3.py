@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import sb3_contrib
 import stable_baselines3 as sb3
+from gymnasium.spaces import Box, Dict
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 import hpac
@@ -170,11 +171,29 @@ def test_a_damaged_model_ends_in_one_line_that_names_it(damage, folder):
 
 
 def test_a_model_of_another_environment_is_refused(saved):
-    with pytest.raises(PolicyError, match=r"has the observation_space Box\(.*\), Other-v0 has Box"):
-        load_policy(f"{saved}/model.zip", gymnasium.make("tests.tiny_task:Other-v0"))
+    other = gymnasium.make("tests.tiny_task:Other-v0")
+    remedy = "name the model's environment with --env"
+    shapes = rf"has the observation_space \(6,\) float32, Other-v0 has \(7,\) float32: {remedy}"
+    with pytest.raises(PolicyError, match=shapes):
+        load_policy(f"{saved}/model.zip", other)
+    other.observation_space = Box(np.float32([-1, -1, -2, -1, -1, -1]), 1)
+    bounds = rf"space \(6,\) float32 with entry 2 in -1…1, .* with entry 2 in -2…1: {remedy}"
+    with pytest.raises(PolicyError, match=bounds):
+        load_policy(f"{saved}/model.zip", other)
+    other.observation_space = Dict(a=Box(0, 1, (2,)), b=Box(0, 255, (8, 8, 3), np.uint8))
+    with pytest.raises(PolicyError, match=r"has a \(2,\) float32, b \(8, 8, 3\) uint8: "):
+        load_policy(f"{saved}/model.zip", other)
     with pytest.raises(PolicyError, match=r"no VecNormalize statistics 'there\.pkl'"):
         load_policy(f"{saved}/model.zip", gymnasium.make(TINY), "there.pkl")
     assert "env_id" not in about(f"{saved}/model.zip")
+
+
+def test_statistics_of_another_model_are_refused(folder):
+    envs = VecNormalize(DummyVecEnv([lambda: gymnasium.make("tests.tiny_task:Other-v0")]))
+    envs.save(f"{folder}/vecnormalize.pkl")
+    says = r"statistics of \(7,\) float32, the model observes \(6,\) float32: .*--normalize none"
+    with pytest.raises(PolicyError, match=says):
+        load_policy(f"{folder}/model.zip", gymnasium.make(TINY))
 
 
 def test_without_the_library_a_model_is_refused_in_one_line(saved):

@@ -2,6 +2,8 @@
 
 import os
 import sys
+import weakref
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -15,37 +17,36 @@ MAX_SHAPES = 500
 
 
 class Camera:
-    """One OpenGL context for all images of an engine.
+    """One OpenGL context for all images of an engine, current only while it is used: so any thread
+    may use and collect it, and what another camera frees is never this one's.
 
     Args:
         model: any model of the engine; they share their textures.
 
     Raises:
         PhysicsError: OpenGL is not available.
+
+    Attributes:
+        close: releases the context; so does garbage collection, and the program's end.
     """
 
     def __init__(self, model: mujoco.MjModel) -> None:
         try:
             self._context = _gl_context()(640, 480)
-            self._context.make_current()
-            self._renderer = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
+            with self._context.as_current():
+                self._renderer = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
         except Exception as error:  # PyOpenGL and its drivers may raise anything
             reason = " ".join(f"{type(error).__name__}: {error}".split())
             raise PhysicsError(
                 f"no OpenGL for pictures ({reason}): install mujoco-core[rendering] and, on Debian, libegl1 and libgl1-mesa-dri"
             ) from None
-        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._renderer)
-        self._size = 640, 480
+        self._size = 0, 0
+        self.close = weakref.finalize(self, _free, self._context, self._renderer)
 
     def picture(
         self, model: mujoco.MjModel, data: mujoco.MjData, view: Viewpoint, target: Array
     ) -> NDArray[np.uint8]:
         """RGB image of a model whose kinematics are up to date, shape (height, width, 3)."""
-        self._context.make_current()
-        if (view.width, view.height) != self._size:
-            mujoco.mjr_resizeOffscreen(view.width, view.height, self._renderer)
-            mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._renderer)
-            self._size = view.width, view.height
         camera = mujoco.MjvCamera()
         camera.lookat[:] = target
         camera.distance = view.distance
@@ -67,15 +68,20 @@ class Camera:
         )
         pixels = np.empty((view.height, view.width, 3), np.uint8)
         rectangle = mujoco.MjrRect(0, 0, view.width, view.height)
-        mujoco.mjr_render(rectangle, scene, self._renderer)
-        mujoco.mjr_readPixels(pixels, None, rectangle, self._renderer)
+        with self._context.as_current():
+            if (view.width, view.height) != self._size:
+                mujoco.mjr_resizeOffscreen(view.width, view.height, self._renderer)
+                mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._renderer)
+                self._size = view.width, view.height
+            mujoco.mjr_render(rectangle, scene, self._renderer)
+            mujoco.mjr_readPixels(pixels, None, rectangle, self._renderer)
         return pixels[::-1].copy()
 
-    def close(self) -> None:
-        """Release the context."""
-        self._context.make_current()
-        self._renderer.free()
-        self._context.free()
+
+def _free(context: Any, renderer: mujoco.MjrContext) -> None:
+    with context.as_current():
+        renderer.free()
+    context.free()
 
 
 def _gl_context() -> type:
