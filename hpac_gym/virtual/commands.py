@@ -18,6 +18,7 @@ import numpy as np
 from hpac_gym.bridge import BridgeError, HostBoard, open_transport
 from hpac_gym.bridge.stop import stop
 from hpac_gym.command import add_json, say, seconds, whole_number
+from hpac_gym.errors import ParameterError
 from hpac_gym.physics.engine import SceneSetup
 from hpac_gym.virtual.body import Body
 from hpac_gym.virtual.hand import Tracker, Virtual
@@ -71,6 +72,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Be a hand until Ctrl-C."""
+    if options.heat > 100:
+        raise ParameterError(f"--heat {options.heat} % must be at most 100 %")
     faults = Faults(options.loss, options.damage, options.jitter, options.latency)
     for number in (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)):
         if signal.getsignal(number) != signal.SIG_IGN:  # as `nohup` has it

@@ -521,6 +521,8 @@ def test_a_sweep_without_eyes_is_refused_before_anything_moves(tmp_path, capsys)
     assert "--port needs what measures the joints: --camera or --angles" in capsys.readouterr().err
     with pytest.raises(SystemExit):
         hpac.main(["sweep", "--port", "any", "--record", "x.csv"])
+    assert hpac.main(["sweep", "--record", "x.csv", "--servo", "index_mcp"]) == 2
+    assert "--servo and --points are of --port, not of --record" in capsys.readouterr().err
     (tmp_path / "sweep.csv").write_text("nonsense\n")
     words = [*WORDS, "--angles", "x.csv", "--out", str(tmp_path)]
     assert hpac.main(words) == 2

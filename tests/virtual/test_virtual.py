@@ -191,6 +191,7 @@ def test_a_board_that_restarts_when_its_port_is_opened_is_reached_over_a_bad_wir
         (["--object", "ball"], "--object 'ball' is not one of"),
         (["--env", GRASP_ANY, "--grasp", "rod"], f"--grasp and --object are of {GRASP}"),
         (["--arm-port", "99999"], "UDP port 99999"),
+        (["--heat", "101"], "--heat 101 % must be at most 100 %"),
     ],
 )
 def test_wrong_words_are_one_line(words, says, capsys):
