@@ -163,7 +163,8 @@ def test_a_day(day):
     wait_for(lambda: len(day.steps("cable.jsonl")) > 4)
     leave(hand)
     assert cable.wait(60) == 2
-    assert "error: " in cable.told().splitlines()[-1]
+    last = cable.told().splitlines()[-2:]
+    assert [line.split(":")[0] for line in last] == ["warning", "error"]
     assert "Error" in day.ends("cable.jsonl")
     assert "Error" in day.do("replay")
 

@@ -56,10 +56,10 @@ class HostBoard:
         program = firmware_file("hpac_host")
         self._owner = os.getpid()
         self._folder = Path(tempfile.mkdtemp(prefix="hpac_host_"))
-        self._log = self._folder / "pulses.csv"
+        self._log = (self._folder / "pulses.csv").open("w+b", buffering=0)
         self._read_to = 0
         self.process = subprocess.Popen(
-            [program, "--pulses", self._log, "--parent", str(self._owner), *self._arguments],
+            [program, "--pulses", self._log.name, "--parent", str(self._owner), *self._arguments],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             text=True,
@@ -68,6 +68,7 @@ class HostBoard:
         said = cast("IO[str]", self.process.stdout)
         ready, _, _ = select.select([said], [], [], _START_TIMEOUT)
         self.port = said.readline().strip() if ready else ""
+        rmtree(self._folder, ignore_errors=True)  # open on both sides: nothing outlives a kill
         if not self.port:
             self.__exit__()
             raise PortError(f"{program} did not open a pseudo-terminal")
@@ -83,7 +84,7 @@ class HostBoard:
             self.process.kill()
             self.process.wait()
         cast("IO[str]", self.process.stdout).close()
-        rmtree(self._folder, ignore_errors=True)
+        self._log.close()
 
     def connect(self) -> SerialTransport:
         """A serial transport to this board, for `HandLink(board.connect)`.
@@ -110,12 +111,11 @@ class HostBoard:
         """All changes of the pulse widths since the last call, shape (n, 7): time [µs], then six
         widths [ns].
         """
-        with self._log.open("rb") as log:
-            log.seek(self._read_to)
-            lines, newline, _ = log.read().rpartition(b"\n")
+        self._log.seek(self._read_to)
+        lines, newline, _ = self._log.read().rpartition(b"\n")
         self._read_to += len(lines) + len(newline)
         if self._read_to > _LONGEST_LOG:
-            os.truncate(self._log, 0)
+            self._log.truncate(0)
             self._read_to = 0
         rows = [[int(value) for value in line.split(b",")] for line in lines.splitlines()]
         return np.array(rows, dtype=np.int64).reshape(-1, 1 + len(SERVOS))

@@ -9,12 +9,14 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from hpac_gym.calibration.doubts import doubts
 from hpac_gym.calibration.file_errors import check_errors, contradictions, file_errors
 from hpac_gym.calibration.identification import SPREAD, Identification, identify
 from hpac_gym.calibration.judging import judged
 from hpac_gym.calibration.posterior import DRAWS, report_folder, write_draws
-from hpac_gym.calibration.record import read_sweep
+from hpac_gym.calibration.record import RecordError, read_sweep
 from hpac_gym.calibration.report import fit_figure, report, summary
 from hpac_gym.calibration.samples import HELD_OUT_EVERY
 from hpac_gym.figures import require, save
@@ -87,6 +89,10 @@ def run(arguments: argparse.Namespace) -> int:
     second = None
     if arguments.check:
         second = read_sweep(arguments.check, allow_missing=True)
+        if np.array_equal(second.joint_pos, record.joint_pos, equal_nan=True):
+            raise RecordError(
+                f"--check {arguments.check} is the same sweep; it must be a second one"
+            )
         remarks += [f"{arguments.check.name}: {remark}" for remark in judged(second, base)]
     identified = identify(
         record, base, arguments.spread, arguments.radii_known, True, shown=True, draws=DRAWS

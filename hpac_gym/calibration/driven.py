@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +17,8 @@ from hpac_gym.bridge import HandLink
 from hpac_gym.bridge.commands import connector
 from hpac_gym.calibration.driver import PROTOCOL, Driver, Look
 from hpac_gym.calibration.protocol import rest_pose
-from hpac_gym.calibration.record import Sweep, read_sweep, write_sweep
-from hpac_gym.calibration.segment import Segment, added, joined
+from hpac_gym.calibration.record import RecordError, Sweep, read_sweep, write_sweep
+from hpac_gym.calibration.segment import Segment, added, angles_in
 from hpac_gym.camera import CameraError
 from hpac_gym.camera.detection import Device, Lens, Seen, Watch, detect, lens_of
 from hpac_gym.camera.sheet import STRIPS
@@ -25,7 +26,9 @@ from hpac_gym.model import HPAC, SERVOS, Hand
 from hpac_gym.output import writable_file
 
 OLDEST = 1.0
-"""Age of the last picture at which a sweep is given up [s]."""
+"""Age of the last picture, or row of angles, at which a sweep is given up [s]."""
+TAIL = 1 << 14
+"""Bytes at the end of a file of angles in which its last row is looked for."""
 PATIENCE = 5.0
 """Time for which a strip is looked for before the hand moves [s]."""
 SIDES = {
@@ -87,6 +90,21 @@ class Eye:
             time.sleep(0.02)
 
 
+def fresh(path: Path) -> Seen:
+    """See that another program writes angles now: no tags.
+
+    Raises:
+        RecordError: The last row of its file is older than `OLDEST`; or as of `angles_in`.
+    """
+    age = time.time() - angles_in(path, TAIL)[1][-1]
+    if abs(age) > OLDEST:
+        raise RecordError(
+            f"angles {path}: its last row is {age:.4g} s old, the limit is {OLDEST:g} s: "
+            "does a program write it, and time_s as seconds since 1970?"
+        )
+    return {}
+
+
 def record(
     port: str,
     path: Path,
@@ -99,13 +117,13 @@ def record(
     hand: Hand = HPAC,
     ask: Callable[[str], object] | None = None,
 ) -> Sweep:
-    """Sweep a hand, and write the record, which is also in the file after an error.
+    """Sweep a hand, and write the record: each servo as soon as it is complete.
 
     Args:
         port: as of every command.
-        path: the record; segments of other servos and trials that it has stay.
+        path: the record; what it has stays, but for servos of this trial that are swept to the end.
         camera: number of a camera, or a video, and with a comma its file.
-        angles: file that another program writes meanwhile, see `joined`.
+        angles: file that another program writes meanwhile, see `angles_in`.
         servos: servos to sweep.
         trial: number of the repetition.
         points: sampling points of a servo; None: as many as `PROTOCOL` has.
@@ -115,12 +133,11 @@ def record(
     Raises:
         CameraError, BridgeError, RecordError, OutputError: See there.
     """
-    segments: list[Segment] = []
     writable_file(path)
     if path.exists():
         read_sweep(path)
     with ExitStack() as stack:
-        look: Look = dict
+        look: Look = dict if angles is None else partial(fresh, angles)
         lens = Lens()
         if camera is not None:
             name, lens = lens_of(camera)
@@ -135,35 +152,28 @@ def record(
         link = stack.enter_context(HandLink(connector(port, stack, hand), hand=hand))
         protocol = replace(PROTOCOL, points=points or PROTOCOL.points)
         driver = Driver(link, look, hand, protocol)
-        try:
-            for servo in servos:
-                ids = ", ".join(f"{tag.id} {tag.label}" for tag in STRIPS[servo])
-                if ask is not None and camera is not None:
-                    ask(f"{servo}: tags {ids}; the camera looks {SIDES[servo]}. Enter sweeps it")
-                if isinstance(look, Eye):
-                    look.wait_for(servo)
-                print(f"sweep of {servo}; Ctrl-C opens the hand", file=sys.stderr, flush=True)
-                segments.append(Segment(servo, trial))
-                driver.sweep(segments[-1])
-                if isinstance(look, Eye):
-                    try:
-                        misfit = segments[-1].angles_from_tags(lens)
-                    except CameraError as error:
-                        raise CameraError(f"sweep of {servo}: {error}") from None
-                    print(f"its tags fit to {misfit:.2f} pixels", file=sys.stderr, flush=True)
-                    if rest_pose(servo).any() and segments[-1].slack(hand) < LEAST_SLACK:
-                        print(TAUT.format(servo), file=sys.stderr, flush=True)
-        finally:
-            _keep(path, segments)
-    if angles is not None:
-        if ask is not None:
-            ask(f"when {angles} is complete: Enter joins it")
-        joined(segments, angles)
-        _keep(path, segments)
+        for servo in dict.fromkeys(servos):
+            ids = ", ".join(f"{tag.id} {tag.label}" for tag in STRIPS[servo])
+            if ask is not None and camera is not None:
+                ask(f"{servo}: tags {ids}; the camera looks {SIDES[servo]}. Enter sweeps it")
+            if isinstance(look, Eye):
+                look.wait_for(servo)
+            else:
+                look()
+            words = f"sweep of {servo}, recorded when complete; Ctrl-C opens the hand"
+            print(words, file=sys.stderr, flush=True)
+            segment = Segment(servo, trial)
+            driver.sweep(segment)
+            if angles is not None:
+                segment.angles_from_file(angles)
+            if isinstance(look, Eye):
+                try:
+                    misfit = segment.angles_from_tags(lens)
+                except CameraError as error:
+                    raise CameraError(f"sweep of {servo}: {error}") from None
+                print(f"its tags fit to {misfit:.2f} pixels", file=sys.stderr, flush=True)
+                if rest_pose(servo).any() and segment.slack(hand) < LEAST_SLACK:
+                    print(TAUT.format(servo), file=sys.stderr, flush=True)
+            write_sweep(path, added(path, segment))
+            print(f"recorded: {servo} in {path}", file=sys.stderr, flush=True)
     return read_sweep(path)
-
-
-def _keep(path: Path, segments: Sequence[Segment]) -> None:
-    if any(segment.time for segment in segments):
-        write_sweep(path, added(path, segments))
-        print(f"recorded: {path}", file=sys.stderr, flush=True)

@@ -2,7 +2,7 @@
 them."""
 
 import csv
-from collections.abc import Sequence
+import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -15,6 +15,7 @@ from hpac_gym.calibration.record import (
     RecordError,
     Sweep,
     concatenate,
+    joints_of_servo,
     read_sweep,
 )
 from hpac_gym.camera.angles import turns
@@ -74,6 +75,31 @@ class Segment:
         self.joint_pos[:, [JOINT_INDEX[name] for name in CHAINS[self.servo][1:]]] = turned.joint_pos
         return turned.misfit
 
+    def angles_from_file(self, path: Path) -> None:
+        """Find the joint angles in the file of another program, by the time of the day.
+
+        Raises:
+            RecordError: As of `angles_in`; or it has none of the swept joints.
+        """
+        names, at, angles = angles_in(path)
+        wanted = np.array(self.unix)
+        joint_pos = np.full((len(wanted), len(JOINTS)), np.nan)
+        for column, name in enumerate(names):
+            known = ~np.isnan(angles[:, column])
+            if not known.any():
+                continue
+            after = np.searchsorted(at[known], wanted).clip(1, max(known.sum() - 1, 1))
+            near = np.minimum(
+                *(np.abs(at[known][(after - i).clip(0, known.sum() - 1)] - wanted) for i in (0, 1))
+            )
+            angle = np.interp(wanted, at[known], angles[known, column])
+            joint_pos[:, JOINT_COLUMNS.index(name)] = np.where(near <= APART, angle, np.nan)
+        if np.isnan(joint_pos[:, joints_of_servo(SERVO_INDEX[self.servo])]).all():
+            raise RecordError(
+                f"angles {path}: none of the joints of {self.servo} within {APART:g} s of a sample"
+            )
+        self.joint_pos = joint_pos
+
     def slack(self, hand: Hand) -> float:
         """Servo angle at which the swept joint begins to flex, extrapolated from the first two points
         where it has flexed, along the design's curve [rad]; infinite without two.
@@ -100,22 +126,27 @@ class Segment:
         return float(first - near * (second - first) / (far - near))
 
 
-def joined(segments: Sequence[Segment], path: Path) -> None:
-    """Give segments the angles that another program wrote, by the time of the day.
+def angles_in(path: Path, last: int = sys.maxsize) -> tuple[list[str], Array, Array]:
+    """The columns of joints, the times since 1970, shape (n,) [s], and the angles, shape (n, columns)
+    [rad], that another program writes, and its last line perhaps still.
 
     Args:
-        segments: get their `joint_pos`.
-        path: a CSV file with the columns ``time_s``, seconds since 1970, and any of
-            ``joint_{name}_rad``.
+        path: a CSV file with the columns ``time_s`` and any of ``joint_{name}_rad``.
+        last: take only the rows within so many bytes at its end.
 
     Raises:
-        RecordError: The file cannot be read, or has no such columns, or a time goes back.
+        RecordError: The file cannot be read, or has no such columns or rows, or a time goes back.
     """
     try:
-        rows = list(csv.DictReader(path.read_text(encoding="utf-8-sig").splitlines()))
+        with path.open("rb") as file:
+            head = file.readline()
+            file.seek(max(len(head), 1, file.seek(0, 2) - last) - 1)
+            file.readline()
+            lines = (head + file.read()).decode("utf-8-sig").splitlines(keepends=True)
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or "not UTF-8 text"
         raise RecordError(f"angles {path}: {reason}") from None
+    rows = list(csv.DictReader(line for line in lines if line.endswith("\n")))
     names = [name for name in JOINT_COLUMNS if rows and name in rows[0]]
     if not names or "time_s" not in rows[0]:
         raise RecordError(
@@ -128,32 +159,20 @@ def joined(segments: Sequence[Segment], path: Path) -> None:
         raise RecordError(f"angles {path}: {error}") from None
     if not (np.diff(at) > 0).all() or np.nanmax(np.abs(angles), initial=0.0) > np.pi:
         raise RecordError(f"angles {path}: times must increase, and angles lie within ±π rad")
-    for segment in segments:
-        wanted = np.array(segment.unix)
-        segment.joint_pos = np.full((len(wanted), len(JOINTS)), np.nan)
-        for column, name in enumerate(names):
-            known = ~np.isnan(angles[:, column])
-            if not known.any():
-                continue
-            after = np.searchsorted(at[known], wanted).clip(1, max(known.sum() - 1, 1))
-            near = np.minimum(
-                *(np.abs(at[known][(after - i).clip(0, known.sum() - 1)] - wanted) for i in (0, 1))
-            )
-            angle = np.interp(wanted, at[known], angles[known, column])
-            segment.joint_pos[:, JOINT_COLUMNS.index(name)] = np.where(near <= APART, angle, np.nan)
+    return names, at, angles
 
 
-def added(path: Path, segments: Sequence[Segment]) -> Sweep:
-    """The record of some segments, and of those in a file that are not among them.
+def added(path: Path, segment: Segment) -> Sweep:
+    """The record of a segment, and of the others in a file.
 
     Raises:
         RecordError: The file is no record.
     """
-    parts = [segment.sweep() for segment in segments if segment.time]
-    new = {(segment.trial, SERVO_INDEX[segment.servo]) for segment in segments if segment.time}
+    parts = [segment.sweep()]
     if path.exists():
         before = read_sweep(path)
         for rows in before.segments():
-            if (int(before.trial[rows[0]]), int(before.swept[rows[0]])) not in new:
+            key = int(before.trial[rows[0]]), int(before.swept[rows[0]])
+            if key != (segment.trial, SERVO_INDEX[segment.servo]):
                 parts.append(before[rows])
     return concatenate(parts)

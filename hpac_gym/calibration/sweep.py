@@ -103,6 +103,8 @@ def run(arguments: argparse.Namespace) -> int:
             hand=hand,
             ask=input if sys.stdin.isatty() else None,
         )
+    elif arguments.servo or arguments.camera or arguments.angles or arguments.points:
+        raise RecordError("--camera, --angles, --servo and --points are of --port, not of --record")
     else:
         record = read_sweep(path)
     evaluate(

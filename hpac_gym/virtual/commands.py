@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 import signal
 import sys
-from contextlib import ExitStack, closing, suppress
+from contextlib import ExitStack, closing
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -18,6 +18,7 @@ import numpy as np
 from hpac_gym.bridge import BridgeError, HostBoard, open_transport
 from hpac_gym.bridge.stop import stop
 from hpac_gym.command import add_json, say, seconds, whole_number
+from hpac_gym.errors import ParameterError
 from hpac_gym.physics.engine import SceneSetup
 from hpac_gym.virtual.body import Body
 from hpac_gym.virtual.hand import Tracker, Virtual
@@ -71,8 +72,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Be a hand until Ctrl-C."""
+    if options.heat > 100:
+        raise ParameterError(f"--heat {options.heat} % must be at most 100 %")
     faults = Faults(options.loss, options.damage, options.jitter, options.latency)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    for number in (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)):
+        if signal.getsignal(number) != signal.SIG_IGN:  # as `nohup` has it
+            signal.signal(number, signal.default_int_handler)
     with ExitStack() as stack:
         env = stack.enter_context(env_of(options))
         setup = scene(env.unwrapped, options.env, options.seed)
@@ -96,7 +101,7 @@ def run(options: argparse.Namespace) -> int:
             from hpac_gym.view.page import HandPage
 
             hand.page = HandPage(
-                setup, ABOUT, stop=partial(_estop, board), browser=not options.no_browser
+                setup, ABOUT, stop=partial(_estop, hand, board.port), browser=not options.no_browser
             )
             stack.callback(hand.page.close)
         try:
@@ -112,10 +117,14 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _estop(board: HostBoard) -> None:
-    """Stop the hand from the page's thread, as `hpac estop` does."""
-    with suppress(BridgeError), closing(open_transport(board.port, lock=False)) as transport:
-        stop(transport)
+def _estop(hand: Virtual, port: str) -> None:
+    """Stop the hand from the page's thread, as `hpac estop` does; the page tells what came of it."""
+    try:
+        with closing(open_transport(port, lock=False)) as transport:
+            stop(transport)
+        hand.stopped = f"Stopped: fault estop until `hpac clear --port {hand.port}`. "
+    except BridgeError as error:
+        hand.stopped = f"Stop NOT CONFIRMED: switch the supply off. {error}. "
 
 
 def _greeting(options: argparse.Namespace, hand: Virtual, setup: SceneSetup) -> str:

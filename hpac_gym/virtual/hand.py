@@ -74,6 +74,7 @@ class Virtual:
         page: a `hpac_gym.view.page.HandPage`, or None.
         tracker: a `Tracker`, or None.
         as_json: whether outcomes are told as JSON.
+        stopped: what came of the page's ESTOP, until there are pulses again.
         blind: time from the beginning of an episode to the loss of its object [s].
         arm_port, pose_port: the UDP ports.
     """
@@ -102,6 +103,8 @@ class Virtual:
         self._phase = ""
         self._episodes = 0
         self._told = RUNNING
+        self._driven = False
+        self.stopped = ""
         self.page: Any = None
         self.tracker: Tracker | None = None
         self.blind = np.inf
@@ -154,11 +157,15 @@ class Virtual:
             self.body.place(self.body.setup, state.horn[0])
         if self.page.due():
             driven = bool(pulses.any())
+            if driven and not self._driven:
+                self.stopped = ""
+            self._driven = driven
             self.page.free(not driven)
             servo = servo_from_pulses(pulses) if pulses.all() else self.page.wanted()
             outcome = f"episode {self._episodes}: {OUTCOMES[self.body.outcome]}"
             driver = "A program drives the hand. " if driven else "The sliders drive the hand. "
-            self.page.show(Shown.of_state(state, servo, driver + outcome * bool(self._episodes)))
+            text = (self.stopped or driver) + outcome * bool(self._episodes)
+            self.page.show(Shown.of_state(state, servo, text))
 
     def _hear(self, now_us: int) -> None:
         """The arm does what it is told; what is no packet is ignored."""

@@ -45,6 +45,14 @@ def test_without_a_second_sweep_the_first_line_says_what_it_is(record, calibrate
     assert "Remark" not in said.out
 
 
+def test_a_sweep_is_no_check_on_itself(record, calibrate, tmp_path):
+    write_sweep(tmp_path / "second.csv", record)
+    status, said = calibrate(record, "--check", str(tmp_path / "second.csv"))
+    assert status == 2
+    assert "second.csv is the same sweep; it must be a second one" in said.err
+    assert not (tmp_path / "hand.toml").exists()
+
+
 def test_a_second_sweep_is_what_the_first_line_is_about(record, hidden, calibrate, tmp_path):
     write_sweep(tmp_path / "second.csv", metal_sweeps([hidden], 2)[0])
     status, said = calibrate(record, "--check", str(tmp_path / "second.csv"))

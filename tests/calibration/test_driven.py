@@ -29,7 +29,7 @@ from hpac_gym.calibration.record import (
     read_sweep,
     write_sweep,
 )
-from hpac_gym.calibration.segment import Segment, added, joined
+from hpac_gym.calibration.segment import Segment, added, angles_in
 from hpac_gym.camera import CameraError
 from hpac_gym.camera.angles import turns
 from hpac_gym.camera.detection import Watch
@@ -328,10 +328,11 @@ def test_a_stalled_camera_and_a_missing_strip_are_told(monkeypatch):
 def test_angles_of_another_program_are_joined_by_the_time_of_the_day(tmp_path):
     path = tmp_path / "angles.csv"
     lines = [f"{100 + 0.01 * k},{0.01 * k},{'' if k > 50 else 0.02 * k}" for k in range(101)]
-    path.write_text("time_s,joint_index_mcp_rad,joint_index_pip_rad\n" + "\n".join(lines))
+    text = "\n".join(["time_s,joint_index_mcp_rad,joint_index_pip_rad", *lines])
+    path.write_text(f"{text}\n101.5,0.")  # the last line is still being written
     segment = Segment("index_mcp", labels=[(REST, -1)] * 4, unix=[99.0, 100.105, 100.8, 101.05])
     segment.time = [0.0, 0.1, 0.2, 0.3]
-    joined([segment], path)
+    segment.angles_from_file(path)
     mcp, pip = segment.joint_pos[:, [JOINT_INDEX["index_mcp"], JOINT_INDEX["index_pip"]]].T
     np.testing.assert_allclose(mcp, [np.nan, 0.105, 0.8, 1.0], atol=1e-9)
     np.testing.assert_allclose(pip, [np.nan, 0.21, np.nan, np.nan], atol=1e-9)
@@ -347,6 +348,9 @@ def test_angles_of_another_program_are_joined_by_the_time_of_the_day(tmp_path):
         ("time_s,joint_index_mcp_rad\n0,one\n", "could not convert"),
         ("time_s,joint_index_mcp_rad\n1,0\n0,0\n", "times must increase"),
         ("time_s,joint_index_mcp_rad\n1,90\n", "within ±π rad"),
+        ("time_s,joint_index_mcp_rad\n1,0", "no rows with time_s"),
+        ("time_s,joint_ring_mcp_rad\n1,0\n", "none of the joints of index_mcp within 0.1 s of a"),
+        ("time_s,joint_index_mcp_rad\n2,0\n", "none of the joints of index_mcp within 0.1 s of a"),
     ],
 )
 def test_angles_that_are_none_are_one_line(tmp_path, text, says):
@@ -354,7 +358,20 @@ def test_angles_that_are_none_are_one_line(tmp_path, text, says):
     if text is not None:
         path.write_text(text)
     with pytest.raises(RecordError, match=says):
-        joined([Segment("index_mcp")], path)
+        Segment("index_mcp", unix=[1.0]).angles_from_file(path)
+
+
+def test_the_last_rows_of_angles_are_read_without_the_others(tmp_path):
+    path = tmp_path / "angles.csv"
+    rows = [f"{at},0.25\n" for at in range(10_000, 11_000)]
+    path.write_text("time_s,joint_index_mcp_rad\n" + "".join(rows))
+    for last, count in ((10, 0), (11, 1), (12, 1), (22, 2), (10_999, 999), (11_000, 1000)):
+        if count:
+            assert angles_in(path, last)[1].tolist() == [*range(11_000 - count, 11_000)]
+        else:
+            with pytest.raises(RecordError, match="no rows"):
+                angles_in(path, last)
+    assert len(angles_in(path)[1]) == 1000
 
 
 # --- the file, and the command
@@ -362,12 +379,12 @@ def test_angles_that_are_none_are_one_line(tmp_path, text, says):
 
 def test_segments_of_other_servos_and_trials_stay_in_the_file(tmp_path, index):
     path = tmp_path / "sweep.csv"
-    write_sweep(path, added(path, [index.segment]))
+    write_sweep(path, added(path, index.segment))
     again = Segment("index_mcp", 1, index.segment.labels, index.segment.time)
     again.commanded = index.segment.commanded
-    write_sweep(path, added(path, [again]))
+    write_sweep(path, added(path, again))
     assert sorted(set(read_sweep(path).trial)) == [0, 1]
-    write_sweep(path, added(path, [index.segment]))
+    write_sweep(path, added(path, index.segment))
     record = read_sweep(path)
     assert len(record) == 2 * len(index.segment.time)
     assert (record.swept == SERVO_INDEX["index_mcp"]).all()
@@ -413,58 +430,89 @@ def test_the_command_warns_of_a_thumb_that_may_be_taut_at_rest(wired, tmp_path, 
     assert "thumb_mp: it flexes from command 0 on. If its tendon is taut there" in told.err
 
 
-def test_the_command_takes_another_tracker_s_angles(wired, tmp_path, monkeypatch, capsys):
-    path = tmp_path / "angles.csv"
-    times = iter(np.arange(1000.0, 2000.0, 0.1))
-    monkeypatch.setattr(driven.time, "time", lambda: next(times))
-    rows = []
+class Tracker:
+    """Another program: each look at the clock is 0.05 s later, and has written a row up to then."""
 
-    def keep(path, segments, keep=driven._keep):
-        if segments and segments[-1].time and not rows:
-            angles = [0.9 * servo[1] for servo in segments[-1].commanded]
-            rows.extend(zip(segments[-1].unix, angles, strict=True))
-            text = "\n".join(f"{at:.3f},{angle:.6f},{1.2 * angle:.6f}" for at, angle in rows)
-            (tmp_path / "angles.csv").write_text(
-                f"time_s,joint_index_mcp_rad,joint_index_pip_rad\n{text}\n"
-            )
-        keep(path, segments)
+    def __init__(self, path, hand):
+        self.path = path
+        self.hand = hand
+        self.now = 1000.0
+        self.until = np.inf
+        path.write_text("time_s,joint_index_mcp_rad,joint_index_pip_rad\n")
 
-    monkeypatch.setattr(driven, "_keep", keep)
+    def time(self):
+        self.now += 0.05
+        if self.now <= self.until:
+            pulses = self.hand.pulses()
+            servo = servo_from_pulses(pulses)[1] if pulses.all() else 0.0
+            with self.path.open("a") as file:
+                print(f"{self.now:.3f},{0.9 * servo:.6f},{1.08 * servo:.6f}", file=file)
+        return self.now
+
+
+@pytest.fixture
+def tracker(wired, tmp_path, monkeypatch):
+    tracker = Tracker(tmp_path / "angles.csv", wired.hand)
+    monkeypatch.setattr(driven.time, "time", tracker.time)
+    return tracker
+
+
+def test_the_command_takes_another_tracker_s_angles(tracker, tmp_path, capsys):
     out = tmp_path / "out"
-    assert hpac.main([*WORDS, "--angles", str(path), "--out", str(out)]) == 0
+    words = [*WORDS, "--servo", "index_mcp", "--angles", str(tracker.path), "--out", str(out)]
+    assert hpac.main(words) == 0
+    assert capsys.readouterr().err.count("recorded: ") == 1
     record = read_sweep(out / "sweep.csv")
-    np.testing.assert_allclose(record.joint_pos[:, 4], 0.9 * record.servo[:, 1], atol=1e-6)
+    np.testing.assert_allclose(record.joint_pos[:, 4], 0.9 * record.servo[:, 1], atol=2e-3)
     assert np.isnan(record.joint_pos[:, :3]).all()
 
 
-def test_an_interrupted_command_keeps_its_record(wired, tmp_path, monkeypatch, capsys):
-    count = []
+@pytest.mark.parametrize("seconds", [0.05, 10.0], ids=["at once", "while it flexes"])
+def test_a_tracker_that_stops_ends_the_sweep(wired, tracker, tmp_path, capsys, seconds):
+    """Before the hand has a pulse; and when its last row is a second old."""
+    tracker.until = tracker.now + seconds
+    tracker.time()
+    tracker.now = max(tracker.now, tracker.until + 1.1 - seconds)
+    assert hpac.main([*WORDS, "--angles", str(tracker.path), "--out", str(tmp_path)]) == 2
+    said = capsys.readouterr().err.splitlines()[-1]
+    assert f"error: angles {tracker.path}: its last row is 1." in said
+    assert "s old, the limit is 1 s" in said
+    assert bool(np.any(wired.pulses)) == (seconds > 1)
+    assert not wired.hand.pulses().any()
+    assert tracker.now < tracker.until + 1.3
+    assert not (tmp_path / "sweep.csv").exists()
 
-    def look():
-        count.append(1)
-        if len(count) == 50:
+
+def test_an_interrupted_sweep_leaves_the_record_as_it_was(wired, tmp_path, capsys):
+    lens = tmp_path / "camera.json"
+    lens.write_text(STRIP_LENS.to_json())
+    words = [*WORDS, "--camera", f"0,{lens}", "--out", str(tmp_path)]
+    assert hpac.main(words) == 0
+    assert "recorded: index_mcp in " in capsys.readouterr().err
+    before = (tmp_path / "sweep.csv").read_bytes()
+    looks = iter(range(50))
+    look = wired.body.look
+
+    def stopped():
+        if next(looks, None) is None:
             raise KeyboardInterrupt
-        return {tag.id: np.zeros((4, 2)) for tag in STRIPS["index_mcp"]}
+        return look()
 
-    wired.body.look = look
-    out = tmp_path / "out"
-    with pytest.warns(UserWarning, match="field of view"):
-        assert hpac.main([*WORDS, "--camera", "0", "--out", str(out)]) == 130
-    assert "recorded: " in capsys.readouterr().err
-    record = read_sweep(out / "sweep.csv")
-    assert 40 < len(record) < 50
-    assert np.isnan(record.joint_pos).all()
+    wired.body.look = stopped
+    assert hpac.main(words) == 130
+    assert "recorded: " not in capsys.readouterr().err
+    assert (tmp_path / "sweep.csv").read_bytes() == before
     assert not wired.hand.pulses().any()
 
 
-def test_a_wrong_strip_leaves_the_record_without_its_angles_and_says_so(wired, tmp_path, capsys):
+def test_a_wrong_strip_is_not_recorded_and_told(wired, tmp_path, capsys):
     wired.body.exchanged = {0: 3, 3: 0}
     lens = tmp_path / "camera.json"
     lens.write_text(STRIP_LENS.to_json())
     words = [*WORDS, "--camera", f"0,{lens}", "--points", "3", "--out", str(tmp_path)]
     assert hpac.main(words) == 2
     assert "error: sweep of index_mcp: tag 11 (palm) must stand still" in capsys.readouterr().err
-    assert np.isnan(read_sweep(tmp_path / "sweep.csv").joint_pos).all()
+    assert not (tmp_path / "sweep.csv").exists()
     assert not wired.hand.pulses().any()
 
 
@@ -473,6 +521,8 @@ def test_a_sweep_without_eyes_is_refused_before_anything_moves(tmp_path, capsys)
     assert "--port needs what measures the joints: --camera or --angles" in capsys.readouterr().err
     with pytest.raises(SystemExit):
         hpac.main(["sweep", "--port", "any", "--record", "x.csv"])
+    assert hpac.main(["sweep", "--record", "x.csv", "--servo", "index_mcp"]) == 2
+    assert "--servo and --points are of --port, not of --record" in capsys.readouterr().err
     (tmp_path / "sweep.csv").write_text("nonsense\n")
     words = [*WORDS, "--angles", "x.csv", "--out", str(tmp_path)]
     assert hpac.main(words) == 2

@@ -140,7 +140,7 @@ def test_a_virtual_hand_is_driven_by_its_sliders_or_by_a_program_which_the_page_
             page.get_by_role("button", name="ESTOP over the wire").click()
             with pytest.raises(FaultError, match="estop"):
                 wait_for(lambda: link.sleep(0.1), 20)
-            page.get_by_text("The sliders drive the hand.").wait_for()
+            page.get_by_text("Stopped: fault estop until").wait_for()
 
 
 @pytest.mark.slow

@@ -16,6 +16,7 @@ import pytest
 
 import hpac
 from hpac_gym.bridge import HandLink, HostBoard, VirtualHand, pulses_from_servo
+from hpac_gym.bridge import stop as bridge_stop
 from hpac_gym.deploy.commands import object_of
 from hpac_gym.deploy.episode import Log, run_episode
 from hpac_gym.deploy.observer import Observer
@@ -26,6 +27,7 @@ from hpac_gym.registration import GRASP, GRASP_ANY
 from hpac_gym.tasks.task import RUNNING, SUCCESS
 from hpac_gym.virtual.body import LATCH_US, LATE, Body, LockStep
 from hpac_gym.virtual.body import Path as WristPath
+from hpac_gym.virtual.commands import _estop
 from hpac_gym.virtual.hand import Virtual
 from hpac_gym.virtual.scene import CAN, scene
 from hpac_gym.virtual.wire import BadTransport, Faults, Way
@@ -43,10 +45,13 @@ def env():
 
 
 @contextmanager
-def running(*words):
+def running(*words, **variables):
     """`hpac virtual`, its port and the words of the command that it prints."""
     process = subprocess.Popen(
-        [sys.executable, "-m", "hpac", "virtual", *words], stdout=subprocess.PIPE, text=True
+        [sys.executable, "-m", "hpac", "virtual", *words],
+        stdout=subprocess.PIPE,
+        text=True,
+        env=os.environ | variables,
     )
     try:
         greeting = process.stdout.readline()
@@ -77,6 +82,56 @@ def test_the_object_is_back_when_the_arm_is_asked_to_be_ready_after_an_episode(e
         assert back == (outcome == SUCCESS)
 
 
+class Page:
+    """A page whose sliders rest, and what it has shown."""
+
+    said = ""
+
+    def wanted(self):
+        return np.zeros(6)
+
+    def wants_object_back(self):
+        return False
+
+    def due(self):
+        return True
+
+    def free(self, free):
+        self.is_free = free
+
+    def show(self, shown):
+        self.said = shown.text
+
+
+def test_the_page_tells_what_came_of_its_red_button_until_a_program_drives_again(env, monkeypatch):
+    monkeypatch.setattr(bridge_stop, "PATIENCE", 0.3)
+    with HostBoard() as board, closing(Virtual(Body(env, 3), board, None, 0, 0)) as hand:
+        hand.page = Page()
+
+        def said():
+            for _ in range(3):
+                hand.turn()
+            return hand.page.said
+
+        def drive():
+            with HandLink(board.connect) as link:
+                link.clear()
+                link.arm(watchdog=2.0)
+                assert said() == "A program drives the hand. "
+                _estop(hand, board.port)
+                return said()
+
+        assert said() == "The sliders drive the hand. "
+        assert (
+            drive() == drive() == f"Stopped: fault estop until `hpac clear --port {board.port}`. "
+        )
+        board.process.send_signal(signal.SIGSTOP)
+        _estop(hand, board.port)
+        assert said().startswith("Stop NOT CONFIRMED: switch the supply off. no answer to estop")
+        assert hand.page.is_free
+        board.process.send_signal(signal.SIGCONT)
+
+
 def test_what_is_typed_against_a_virtual_hand_holds_the_object(tmp_path):
     with running("--object", "cylinder:0.02,0.05") as (process, port, words):
         log = tmp_path / "log.jsonl"
@@ -100,16 +155,18 @@ def test_what_is_typed_against_a_virtual_hand_holds_the_object(tmp_path):
     assert not Path(port).exists()
 
 
-def test_a_virtual_hand_that_is_killed_leaves_no_board():
-    with running() as (process, port, _):
+def test_a_virtual_hand_that_is_killed_leaves_no_board_and_no_folder(tmp_path):
+    with running(TMPDIR=str(tmp_path)) as (process, port, _):
         assert Path(port).exists()
         process.kill()
         wait_for(lambda: not Path(port).exists(), 10)
+    assert list(tmp_path.iterdir()) == []
 
 
-def test_a_hidden_hand_is_told_at_the_end_alone():
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_hidden_hand_is_told_at_the_end_alone(number):
     with running("--seed", "4") as (process, _, _):
-        os.kill(process.pid, signal.SIGTERM)
+        os.kill(process.pid, number)
         said, _ = process.communicate(timeout=10)
     assert "hand H-PAC train_27, 91% of the nominal size" in said
     assert "servo zero [deg]: thumb_mp" in said
@@ -135,14 +192,16 @@ def test_a_board_that_restarts_when_its_port_is_opened_is_reached_over_a_bad_wir
         (["--object", "ball"], "--object 'ball' is not one of"),
         (["--env", GRASP_ANY, "--grasp", "rod"], f"--grasp and --object are of {GRASP}"),
         (["--arm-port", "99999"], "UDP port 99999"),
+        (["--heat", "101"], "--heat 101 % must be at most 100 %"),
     ],
 )
 def test_wrong_words_are_one_line(words, says, capsys):
-    handler = signal.getsignal(signal.SIGTERM)
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)}
     try:
         assert says in refused(capsys, lambda: hpac.main(["virtual", *words]))
     finally:
-        signal.signal(signal.SIGTERM, handler)
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
 
 
 # --- in lock-step
