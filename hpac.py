@@ -8,8 +8,9 @@ import os
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from difflib import get_close_matches
 from pkgutil import resolve_name
-from typing import NoReturn
+from typing import Any, NoReturn
 
 sys.modules.setdefault("hpac", sys.modules[__name__])  # read by hpac_gym, also for python -m hpac
 
@@ -161,6 +162,16 @@ COMMANDS = (
 )
 
 
+class _CommandParser(Parser):
+    """The parser of one command, which refuses words that it does not know by its own name."""
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
+        found, unknown = super().parse_known_args(args, namespace)
+        if unknown:
+            self.error(f"unrecognized arguments: {' '.join(unknown)}")
+        return found, unknown
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit status."""
     # Modules of the current folder, such as the one that registers `--env mymodule:My-v0`. Last, so
@@ -197,13 +208,20 @@ def parser_of(argv: Sequence[str]) -> Parser:
     )
     parser.add_argument("--completion", action=_Completion)
     subparsers = parser.add_subparsers(
-        prog="hpac", metavar="COMMAND", required=True, help=argparse.SUPPRESS
+        prog="hpac",
+        metavar="COMMAND",
+        required=True,
+        help=argparse.SUPPRESS,
+        parser_class=_CommandParser,
     )
     parsers = {row.name: subparsers.add_parser(row.name, description=row.help) for row in COMMANDS}
     name = next((word for word in argv if not word.startswith("-")), None)
     row = next((row for row in COMMANDS if row.name == name), None)
     if row is not None:
         resolve_name(row.target)(parsers[row.name])
+    elif name is not None:
+        near = get_close_matches(name, parsers, 1)
+        parser.error(f"no command '{name}'" + "".join(f", did you mean '{one}'?" for one in near))
     return parser
 
 

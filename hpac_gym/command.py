@@ -141,7 +141,7 @@ class Formatter(argparse.ArgumentDefaultsHelpFormatter):
         named = (
             default is None
             or default is False
-            or default in ([], float("inf"))
+            or default in ([], "", float("inf"))
             or "default:" in told
         )
         return told if named else super()._get_help_string(action)

@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hpac_gym.output import OutputError, replacing
+from hpac_gym.output import OutputError, replacing, writable_file
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -26,13 +26,20 @@ def label(joint: str) -> str:
     return f"{digit.capitalize()} {part.upper()}"
 
 
-def require() -> None:
-    """Import Matplotlib, so that a command that draws at its end fails at its beginning.
+def require(path: str | os.PathLike[str] | None = None) -> None:
+    """Import Matplotlib and check the path of a picture, if one is given, so that a command that
+    draws at its end fails at its beginning.
 
     Raises:
         ModuleNotFoundError: It is not installed.
+        OutputError: The path does not end in ``.png``, or cannot be written.
     """
     import matplotlib  # noqa: F401
+
+    if path is not None:
+        if Path(path).suffix.lower() != ".png":
+            raise OutputError(f"a picture is written as .png, not as '{path}'")
+        writable_file(Path(path))
 
 
 def new_figure(width: float, height: float) -> Figure:
@@ -59,8 +66,7 @@ def save(
     Raises:
         OutputError: A file cannot be written, or its name does not end in ``.png``.
     """
-    if Path(path).suffix.lower() != ".png":
-        raise OutputError(f"a picture is written as .png, not as '{path}'")
+    require(path)
     from matplotlib import rc_context
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 

@@ -55,13 +55,15 @@ def run(arguments: argparse.Namespace) -> int:
     hand = load_hand(arguments.model) if arguments.model else HPAC
     everything = arguments.name in ("list", "all")
     shown = list(POSTURES.values()) if everything else [posture(arguments.name)]
+    sheet = arguments.out or (Path("runs/postures.png") if arguments.name == "all" else None)
+    if sheet:
+        require(sheet)
     if arguments.json:
         print(json.dumps({item.name: description(item, hand) for item in shown}))
     elif everything:
         print("\n".join(summary(item, hand) for item in shown))
     else:
         print(table(shown[0], hand))
-    sheet = arguments.out or (Path("runs/postures.png") if arguments.name == "all" else None)
     if sheet:
         draw(shown, sheet, hand)
         if not arguments.json:
@@ -112,7 +114,7 @@ def table(item: Posture, hand: Hand = HPAC) -> str:
         JOINTS, item.target_joint_pos, taken.joint_pos.round(9) + 0.0, strict=True
     ):
         lines.append(f"{name:<12} {target:12.3f} {joint:16.3f}")
-    lines.append(f"distance from the manifold: {taken.distance:.3f} rad")
+    lines.append(f"distance from the nearest reachable posture: {taken.distance:.3f} rad")
     lines.append(f"{'servo':<12} angle [rad]")
     lines += [f"{name:<12} {angle:11.3f}" for name, angle in zip(SERVOS, taken.servo, strict=True)]
     return "\n".join(lines)
@@ -120,7 +122,6 @@ def table(item: Posture, hand: Hand = HPAC) -> str:
 
 def draw(items: Sequence[Posture], path: Path, hand: Hand = HPAC) -> None:
     """Draw a contact sheet of postures, each reached by the simulated hand from open."""
-    require()
     columns = min(SHEET_COLUMNS, len(items))
     rows = -(-len(items) // columns)
     figure = new_figure(2.2 * columns, 2.4 * rows)

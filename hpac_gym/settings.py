@@ -56,7 +56,9 @@ def check_bounds(settings: Any, name: str = "") -> None:
             continue
         values = given if row.count > 1 else (given,)
         if not _are_numbers(values, row.count) or not row.admits(values):
-            raise ParameterError(f"{name} {row.name} = {given!r} {row.told}".lstrip())
+            fixed = row.ordered and _are_numbers([given], 1) and row.admits([given, given])
+            form = f", such as [{given!r}, {given!r}]" if fixed else ""
+            raise ParameterError(f"{name} {row.name} = {given!r} {row.told}{form}".lstrip())
         if row.count > 1 and not isinstance(given, tuple):
             object.__setattr__(settings, row.name, tuple(given))
 
@@ -100,7 +102,7 @@ def _bounded(kind: type) -> tuple[_Bounded, ...]:
         count = told.get("size", 1 if alone else 2)
         ordered = not alone and "size" not in told
         what = (
-            "a number" if alone else "a range (lowest, highest)" if ordered else f"{count} values"
+            "a number" if alone else "a range [lowest, highest]" if ordered else f"{count} values"
         )
         unit = f" {told['unit']}" if "unit" in told else ""
         begin = "]" if told.get("above") or low == -math.inf else "["

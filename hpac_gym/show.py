@@ -19,6 +19,7 @@ from hpac_gym.evaluation.options import add_env_options, env_options
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.output import OutputError, replacing
 from hpac_gym.policies.loading import NAMES, NORMALIZE, load_policy, needed_options, shipped_for
+from hpac_gym.progress import progress
 from hpac_gym.registration import GRASP
 from hpac_gym.tasks.task import CONTROL_HZ
 
@@ -27,6 +28,7 @@ FILMS: dict[str, dict[str, Any]] = {
     ".mp4": {"fps": CONTROL_HZ, "macro_block_size": None, "quality": 7},
 }
 """Kinds of films, and how imageio writes them."""
+HOW_MANY = "how many (default: until Ctrl-C; 3 with --record)"
 PAUSE = 1.0
 """Time for which the end of an episode stays [s]."""
 
@@ -38,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_env_options(parser, "id, also module:My-v0 (default: a policy file's own)")
     parser.set_defaults(engine="mujoco")
     parser.add_argument("--seed", type=whole_number(0), default=HELD_OUT_SEED, help="of the first")
-    parser.add_argument("--episodes", type=whole_number(1), help="how many (default: until Ctrl-C)")
+    parser.add_argument("--episodes", type=whole_number(1), help=HOW_MANY)
     parser.add_argument(
         "--record", type=Path, metavar="FILE", help="write a film (.mp4, .gif) instead of a page"
     )
@@ -59,17 +61,19 @@ def run(options: argparse.Namespace) -> int:
         actor = load_policy(policy, env, options.normalize)
         film = stack.enter_context(_film(options.record)) if options.record else None
         page = None if film else _page(env, options)
+        title = f"{policy} on {env_id.removeprefix('hpac_gym:')}"
+        title += f", grasp {options.grasp}" if options.grasp else ""
         done = held = 0
         try:
             while done != count:
                 seed = options.seed + done
                 if page:
                     so_far = f"{held} of {done} succeeded" if done else "the first episode"
-                    page.say(f"**{policy}** on {env_id}, seed {seed}: {so_far}")
+                    page.say(f"{title}, seed {seed}: {so_far}")
                 success = _episode(env, actor, seed, film)
                 held += success
                 done += 1
-                said = f"{policy} on {env_id}: {held} of {done} succeeded"
+                said = f"{title}: {held} of {done} succeeded"
                 say(options.json, said, policy=policy, env=env_id, seed=seed, success=success)
         except KeyboardInterrupt:  # the end of those who gave no other
             if count:
@@ -82,7 +86,8 @@ def run(options: argparse.Namespace) -> int:
 
 def _episode(env: Any, actor: Any, seed: int, film: Any) -> bool:
     """Run an episode, which the page shows by itself; whether it succeeded."""
-    for step in run_episodes(single(env), [actor], [seed]):
+    steps = run_episodes(single(env), [actor], [seed])
+    for step in progress(steps, f"frames of seed {seed}", shown=film is not None):
         if film:
             film.append_data(env.render())
         held = step.success

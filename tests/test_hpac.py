@@ -133,7 +133,13 @@ def test_the_version_is_that_of_the_package():
     ("words", "named"),
     [
         ([], "COMMAND"),
-        (["nonsense"], "nonsense"),
+        (["nonsense"], "error: no command 'nonsense' (see hpac --help)"),
+        (["shwo"], "error: no command 'shwo', did you mean 'show'? (see hpac --help)"),
+        (["--polcy"], "(see hpac --help)"),
+        (
+            ["evaluate", "--policy", "grasp", "--polcy", "grasp"],
+            "error: unrecognized arguments: --polcy grasp (see hpac evaluate --help)",
+        ),
         (["wiggle", "--port", "/dev/no-such-port"], "/dev/no-such-port"),
         (["posture", "nonsense"], "nonsense"),
         (["posture", "list", "--model", "/no/such/hand.toml"], "/no/such/hand.toml"),
@@ -153,6 +159,14 @@ def test_the_version_is_that_of_the_package():
 def test_a_mistake_is_one_line_and_status_2(words, named, capsys):
     """In this process, which has loaded the packages already."""
     assert named in refused(capsys, lambda: main(words))
+
+
+def test_a_help_tells_no_empty_default_and_none_in_the_form_of_python(capsys):
+    for name in NAMES:
+        with pytest.raises(SystemExit):
+            main([name, "--help"])
+        said = capsys.readouterr().out
+        assert not re.search(r"\(default: *[)\[]", said), name
 
 
 def forgetful(env):

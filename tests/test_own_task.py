@@ -169,7 +169,7 @@ def test_learners_take_it(folder):
         folder, "-m", "hpac", "evaluate", "--policy", f"runs/gentle/{POLICY}", "--episodes", "2",
         "--engine", "mujoco", "--no-baselines",
     )  # fmt: skip
-    assert "learned" in judged
+    assert f"| runs/gentle/{POLICY} | 2 |" in judged
     short = ["--episodes", "40", "--random-episodes", "20", "--num-envs", "8", "--hidden", "8"]
     train = ["agents.train", "grasp", "--env", "mytasks:My-Touch-v0", "--out", "runs/touch"]
     run(folder, "-m", *train, *short, "--checkpoint-every", "20", "--batch-size", "8",

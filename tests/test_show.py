@@ -9,7 +9,9 @@ import urllib.request
 import pytest
 
 import hpac
+from hpac_gym import progress
 from hpac_gym.policies.loading import shipped_for
+from hpac_gym.view.page import HandPage
 from tests.options import refused
 
 
@@ -29,7 +31,7 @@ def test_a_trained_policy_is_shown_on_a_page():
     finally:
         running.kill()
     assert (running.returncode, complaints) == (0, "")
-    assert said == "grasp on hpac_gym:HPAC-Grasp-v0: 1 of 1 succeeded\n"
+    assert said == "grasp on HPAC-Grasp-v0: 1 of 1 succeeded\n"
 
 
 def test_an_id_is_shown_with_the_policy_that_comes_for_it(capsys, tmp_path):
@@ -55,12 +57,26 @@ def test_ctrl_c_is_the_end_of_what_has_no_other():
     assert (running.returncode, complaints) == (0, "\n")
 
 
-def test_a_film_is_written(tmp_path, capsys):
+def test_the_page_names_policy_grasp_and_id(monkeypatch, capsys):
+    titles = []
+    monkeypatch.setattr(HandPage, "say", lambda page, about: titles.append(about))
+    words = ["--grasp", "rod", "--seed", "3000000", "--episodes", "1", "--no-browser"]
+    assert hpac.main(["show", *words]) == 0
+    named = "scripted on HPAC-Grasp-v0, grasp rod"
+    assert titles == [f"{named}, seed 3000000: the first episode"]
+    assert capsys.readouterr().out.startswith(f"{named}: ")
+
+
+def test_a_film_is_written(tmp_path, capsys, monkeypatch):
     import imageio.v2 as imageio
 
+    monkeypatch.setattr(progress, "_PATIENCE", 0.0)
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     path = tmp_path / "film.gif"
     assert hpac.main(["show", "--grasp", "rod", "--episodes", "1", "--record", str(path)]) == 0
-    assert f"written: {path}" in capsys.readouterr().out
+    told = capsys.readouterr()
+    assert f"written: {path}" in told.out
+    assert "frames of seed " in told.err
     assert len(imageio.mimread(path, memtest=False)) > 40
 
 

@@ -23,7 +23,7 @@ from hpac_gym.body.objects import GREY, ObjectSpec
 from hpac_gym.body.solids import Hull, Solid, bounds_of
 from hpac_gym.errors import ParameterError, install
 from hpac_gym.model.checks import Array
-from hpac_gym.output import write_text
+from hpac_gym.output import OutputError, writable_file, write_text
 from hpac_gym.progress import waiting
 
 MESHES = (".stl", ".obj", ".ply", ".off")
@@ -182,6 +182,12 @@ def _of_mesh(path: Path, scale: Array, how: _Decomposition) -> list[Solid]:
     made_from = {"sha256": hashlib.sha256(path.read_bytes()).hexdigest(), "coacd": how.settings}
     parts = _kept(kept, made_from)
     if parts is None:
+        try:
+            writable_file(kept)
+        except OutputError as error:
+            raise OutputError(
+                f"{error}: convex parts are kept there, or in folder= (--set object.folder=)"
+            ) from None
         parts = _decomposed(path, how.settings)
         write_text(kept, json.dumps(made_from | {"parts": parts}))
     order = -1 if np.prod(scale) < 0 else 1

@@ -57,7 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Simulate the actions of a log, and tell where the two part."""
     if options.out:
-        require()
+        require(options.out)
     head, steps, end = read_log(options.log)
     course = simulated(head, steps, options.engine)
     apart = np.abs(course.sent - course.commanded)
@@ -168,6 +168,6 @@ def figure_of(course: Course) -> Any:
     upper.set_ylabel("command [rad], simulated dashed")
     lower.set_ylabel("object in the hand's frame [mm]")
     lower.set_xlabel("time [s]")
-    upper.legend(fontsize=8, ncols=2)
-    lower.legend(fontsize=8)
+    for axes in (upper, lower):
+        axes.legend(fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
     return figure

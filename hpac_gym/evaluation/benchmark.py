@@ -220,7 +220,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs=2,
         default=[0, HELD_OUT_SEED - 1],
         metavar=("FIRST", "LAST"),
-        help="first and last seed of the training episodes",
+        help=f"first and last seed of the training episodes (default: 0 {HELD_OUT_SEED - 1})",
     )
     parser.add_argument("--obs", default="deploy", help="observation mode of the policy")
     parser.add_argument("--about", default="", help="a line on the method, with a link to its code")

@@ -12,7 +12,7 @@ import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,7 @@ from hpac_gym.command import Formatter, minutes, whole_number
 from hpac_gym.envs import HandEnv
 from hpac_gym.evaluation.blind import scale_of
 from hpac_gym.evaluation.environment import make_env
-from hpac_gym.evaluation.episodes import Step, has_batch, run_episodes, worlds
+from hpac_gym.evaluation.episodes import BATCH, Step, has_batch, run_episodes, worlds
 from hpac_gym.evaluation.options import add_env_options, env_options
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import paired_difference, success_counts
@@ -34,9 +34,8 @@ from hpac_gym.policies.loading import NAMES, NORMALIZE, about, load_policy, need
 from hpac_gym.policies.policy_file import policy_path
 
 DEFAULT_ENV = "hpac_gym:HPAC-Grasp-v0"
-BLOCK = 10
-BATCH_BLOCK = 200  # episodes per job of a worker, with single worlds and in a batch
-LEARNED = "learned"  # name of a policy file in tables
+BLOCK = 10  # most episodes per job of a worker, with single worlds; in a batch as many as it has
+LEARNED = "learned"  # name of a policy file in JSON
 NO_PHASE = "unknown"  # name of the phase of failures in a task without phases
 
 
@@ -151,7 +150,7 @@ def evaluate(
     with make_env(env_id, **options) as env:
         for name in names:
             load_policy(name, env, normalize)  # errors are raised here, not in a worker
-        block = BATCH_BLOCK if has_batch(env) else BLOCK
+        block = min(BATCH if has_batch(env) else BLOCK, -(-episodes // workers))
         if isinstance(env.unwrapped, HandEnv):
             options |= {
                 name: getattr(env.unwrapped.episodes.options, name) for name in ("engine", "body")
@@ -179,7 +178,7 @@ def evaluate(
             rows += done
             rates = (np.mean([row[number].success for row in rows]) for number in range(len(names)))
             bar.set_postfix_str(
-                ", ".join(f"{label} {rate:.0%}" for label, rate in zip(labels, rates, strict=True))
+                ", ".join(f"{name} {rate:.0%}" for name, rate in zip(names, rates, strict=True))
             )
             bar.update(len(done))
             if time.monotonic() > deadline:
@@ -195,6 +194,8 @@ def table(summary: dict[str, Any]) -> str:
     """A summary as a table in Markdown."""
     columns = ("policy", "episodes", "success", "95 % interval", "mean return", "failures by phase")
     rows = []
+    phased = all(NO_PHASE not in row["failures_by_phase"] for row in summary["policies"].values())
+    columns = columns if phased else columns[:-1]
     for name, numbers in summary["policies"].items():
         low, high = numbers["interval_95"]
         phases = (
@@ -202,7 +203,8 @@ def table(summary: dict[str, Any]) -> str:
             or "–"
         )
         rate = (f"{numbers['success_rate']:.1%}", f"{low:.1%} … {high:.1%}")
-        rows.append((name, numbers["episodes"], *rate, f"{numbers['return_mean']:.2f}", phases))
+        row = (name, numbers["episodes"], *rate, f"{numbers['return_mean']:.2f}", phases)
+        rows.append(row[: len(columns)])
     lines = [markdown(columns, rows)]
     if given := summary.get("options"):
         lines += ["", f"Options: {', '.join(f'{name} {value}' for name, value in given.items())}."]
@@ -285,14 +287,16 @@ def run(args: argparse.Namespace) -> int:
         "options": needed_options(args.policy[0]) | env_options(args, env_id),
         "normalize": args.normalize,
     }
-    summary = evaluate(names, env_id, args.episodes, **how).summary()
+    found = evaluate(names, env_id, args.episodes, **how)
+    summary = found.summary()
     told = [{"file": name, **origin} for name in files if (origin := about(name, args.normalize))]
     if len(told) == 1:
         summary["policy"] = told[0]
     elif told:
         summary["files"] = told
     text = json.dumps(summary, indent=2)
-    print(text if args.json else table(summary), flush=True)
+    named = replace(found, episodes=dict(zip(names, found.episodes.values(), strict=True)))
+    print(text if args.json else table(named.summary()), flush=True)
     if args.out:
         write_text(args.out, text + "\n")
     return 0

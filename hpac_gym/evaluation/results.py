@@ -45,8 +45,10 @@ def read(path: Path) -> Results:
     """
     try:
         results = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+    except OSError as error:
         raise ResultsError(f"cannot read results file '{path}': {error}") from None
+    except ValueError:
+        results = None
     if not isinstance(results, dict):
         raise ResultsError(f"'{path}' is not a results file: it contains no JSON object")
     return results

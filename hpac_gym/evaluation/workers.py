@@ -33,9 +33,7 @@ def worker_pool(
     """A pool of ``count`` processes, each of which first calls ``prepare(*arguments)``.
 
     The block gets a function that returns the results of ``function(*job)`` in the order of the
-    jobs. When the block ends, also by an error or Ctrl-C, pending jobs are dropped and running ones
-    finish: a killed process may leave half a result in the pipe, for which Python's pool would wait
-    for ever.
+    jobs. When the block ends, also by an error or Ctrl-C, the processes are killed at once.
 
     Raises:
         WorkerError: A process was ended from outside, for example by a system that is out of
@@ -64,6 +62,11 @@ def worker_pool(
             f"one of {count} worker processes was ended from outside: is there memory for so many?"
         ) from None
     finally:
+        # Python's pool has no public way. A killed process may leave half a result in the pipe, for
+        # whose end the pool's thread would wait for ever if this process could still write it.
+        for process in list(pool._processes.values()):
+            process.kill()
+        pool._result_queue._writer.close()
         pool.shutdown(cancel_futures=True)
 
 

@@ -24,6 +24,9 @@ from hpac_gym.view.shown import GHOSTS, Shown
 
 PICTURE_HZ = 20
 """Pictures a second."""
+FREE = "Servos [rad]"
+DRIVEN = "Servos [rad], read-only"
+"""Above the sliders, as they drive the hand or follow it."""
 _ROUND_RANGE = (np.ceil(100 * HPAC.servo_min) / 100, np.floor(100 * HPAC.servo_max) / 100)
 
 
@@ -130,14 +133,15 @@ class HandPage:
             gui.add_markdown(
                 "*It stops the pulses if page, program and wire work: no safety device.*"
             )
-        with gui.add_folder("Servos [rad]"):
+        self._servos = gui.add_folder(FREE)
+        with self._servos:
             self.sliders = [
                 gui.add_slider(name, low, high, 0.01, max(low, 0.0))
                 for name, low, high in zip(SERVOS, *_ROUND_RANGE, strict=True)
             ]
             most = min(slider.max for slider in self.sliders[:-1])
             self._all = gui.add_slider("all five", 0.0, most, 0.01, 0.0)
-            self._all.on_update(lambda _: self._flex(self._all.value))
+            self._all.on_update(lambda _: self._flex(_limited(self._all)))
             self._open = gui.add_button("Open the hand")
             self._open.on_click(lambda _: self._flex(0.0))
         self.free(not self._driven)
@@ -170,13 +174,21 @@ class HandPage:
 
     def wanted(self) -> Array:
         """The servo angles of the sliders, shape (6,) [rad]."""
-        return np.array([slider.value for slider in self.sliders])
+        return np.array([_limited(slider) for slider in self.sliders])
+
+    def lifted(self) -> float:
+        """The wrist's height by its slider [m]."""
+        return _limited(self.lift)
 
     def free(self, free: bool) -> None:
         """Let the sliders drive the hand, or only follow it."""
-        for control in (*self.sliders, self._all, self._open):
-            if control.disabled == free:
-                control.disabled = not free
+        label = FREE if free else DRIVEN
+        if self._servos.label == label:
+            return
+        self._servos.label = label
+        self._all.visible = self._open.visible = free
+        for slider in self.sliders:
+            slider.disabled = not free
 
     # Pictures -----------------------------------------------------------------------------
 
@@ -223,10 +235,18 @@ class HandPage:
             self._server.stop()
 
 
+def _limited(slider: viser.GuiSliderHandle[float]) -> float:
+    """Value of a slider; the page also takes a number beyond its range, which is brought back."""
+    value = min(max(slider.value, slider.min), slider.max)
+    if slider.value != value:
+        slider.value = value
+    return value
+
+
 def _figures(shown: Shown) -> str:
     """A table of the joints that servos drive, and their tendons."""
-    rows = ["| digit | joint [rad] | tendon [N] |", "| --- | --- | --- |"]
-    for i, (digit, servo) in enumerate(zip(DIGITS, SERVOS, strict=False)):
+    rows = ["| joint | angle [rad] | tendon [N] |", "| --- | --- | --- |"]
+    for i, servo in enumerate(SERVOS[: len(DIGITS)]):
         pull = "" if shown.tension is None else f"{abs(shown.tension[i]):.1f}"
-        rows.append(f"| {digit} | {shown.joint_pos[JOINT_INDEX[servo]]:.2f} | {pull} |")
+        rows.append(f"| {servo} | {shown.joint_pos[JOINT_INDEX[servo]]:.2f} | {pull} |")
     return "\n".join(rows) + f"\n\n{shown.text}"

@@ -50,7 +50,7 @@ def run(options: argparse.Namespace) -> int:
             servo = page.wanted()
             if int(now * CONTROL_HZ) != told:
                 told = int(now * CONTROL_HZ)
-                body.tell({"time": told / CONTROL_HZ, "offset": [0.0, 0.0, page.lift.value]})
+                body.tell({"time": told / CONTROL_HZ, "offset": [0.0, 0.0, page.lifted()]})
             body.follow(round(1e6 * now), pulses_from_servo(servo))
             state = body.state()
             body.tidy_up(state)

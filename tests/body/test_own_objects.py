@@ -21,6 +21,7 @@ from hpac_gym.body.own_objects import own_object
 from hpac_gym.envs import GraspAny, GraspError, ScriptedClosure
 from hpac_gym.errors import ParameterError
 from hpac_gym.model import HPAC
+from hpac_gym.output import OutputError
 from hpac_gym.physics.engine import SceneSetup, matrix_from_quaternion
 from hpac_gym.physics.mujoco.engine import MuJoCoEngine
 from hpac_gym.physics.simulation import ENGINES, make_engine
@@ -203,6 +204,16 @@ def test_the_decomposition_is_kept_beside_the_file_or_where_it_is_asked_for(
     monkeypatch.undo()
     own_object(wedge, mass=0.1, scale=0.001, folder=tmp_path / "parts")
     assert [path.name for path in (tmp_path / "parts").iterdir()] == ["ell.hulls.json"]
+
+
+def test_a_folder_that_cannot_be_written_is_told_with_the_way_out_before_the_work(
+    wedge, monkeypatch
+):
+    monkeypatch.setattr(own_objects, "_decomposed", None)
+    with pytest.raises(
+        OutputError, match=r"'/proc/none': .*, or in folder= \(--set object.folder=\)"
+    ):
+        own_object(wedge, mass=0.1, scale=0.001, folder="/proc/none")
 
 
 @pytest.mark.parametrize("kept", ["of another mesh", "{ half a fi"])

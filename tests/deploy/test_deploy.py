@@ -28,6 +28,8 @@ from hpac_gym.deploy.episode import Log, run_episode
 from hpac_gym.deploy.errors import DeployError, PoseError
 from hpac_gym.deploy.observer import TASKS, UPRIGHT, Observer, Pose
 from hpac_gym.deploy.poses import Fixed, Packets, Recorded, averaged, pose_of, source_of
+from hpac_gym.deploy.replay import Course, figure_of
+from hpac_gym.figures import save
 from hpac_gym.output import OutputError
 from hpac_gym.policies.loading import load_policy
 from hpac_gym.registration import GRASP, GRASP_ANY, GRASP_TYPE, POSTURE
@@ -567,6 +569,15 @@ def test_a_log_is_played_beside_a_simulation(log, capsys):
     assert float(lines[1].split()[3]) < 0.05  # a little speed is left for early frames
     assert "the simulation: success" in lines[3]
     assert picture.stat().st_size > 10_000
+
+
+def test_no_legend_lies_on_a_curve(tmp_path):
+    time = np.linspace(0, 4, 60)
+    course = Course(time, *(np.outer(time, np.ones(n)) for n in (6, 6, 3, 6, 3)), "success")
+    figure = figure_of(course)
+    save(figure, tmp_path / "course.png")
+    for axes in figure.axes:
+        assert axes.get_legend().get_window_extent().x0 > axes.get_window_extent().x1
 
 
 def test_an_object_that_moved_is_told(log, capsys):

@@ -260,7 +260,12 @@ PRESET = r"randomize must be a preset \(nominal, .*; got "
         (GRASP, {"config": "easy"}, "config 'easy' is neither a GraspConfig nor a mapping"),
         (POSTURE, {"config": "easy"}, "config 'easy' is neither a PostureConfig nor a mapping"),
         (GRASP, {"config": {"radii": [0.01, 0.02]}}, "config has no field 'radii'; it has radius"),
-        (GRASP, {"config": {"radius": 0.01}}, r"config radius = 0.01 must be a range"),
+        (
+            GRASP,
+            {"config": {"radius": 0.01}},
+            r"config radius = 0.01 .*a range .*, such as \[0.01, 0.01\]$",
+        ),
+        (GRASP, {"config": {"radius": 9}}, r"config radius = 9 .*within \[0.002, 0.06\]$"),
         (
             GRASP,
             {"config": {"radius": [0.03, 0.01]}},

@@ -332,6 +332,7 @@ def test_the_hash_changes_with_the_objects_and_the_splits(monkeypatch):
         ),
         ([TINY, "--policy", "random"], "an environment, --policy and --out are needed, or --check"),
         (["--check", "no/such.json"], "cannot read results file 'no/such.json'"),
+        (["--check", __file__], "test_benchmark.py' is not a results file: it contains no JSON"),
         ([TINY, "--policy", "no/such.hpac", "--out", "x"], "no policy file 'no/such.hpac'"),
         (
             [TINY, "--policy", "no.such:thing", "--out", "x"],

@@ -1,4 +1,6 @@
 import json
+import os
+import signal
 import subprocess
 import sys
 import time
@@ -100,6 +102,69 @@ def test_a_time_limit_takes_fewer_episodes_and_says_so():
     result = evaluate(["random"], TINY, 10_000, time_limit=1e-9)
     assert len(result.episodes["random"]) == BLOCK
     assert result.summary()["policies"]["random"]["episodes"] == BLOCK
+
+
+@pytest.mark.parametrize(
+    ("episodes", "workers", "engine", "sizes"),
+    [
+        (100, 3, "mujoco", [34, 34, 32]),
+        (120, 1, "mujoco", [50, 50, 20]),
+        (5, 2, None, [3, 2]),
+        (25, 1, None, [10, 10, 5]),
+    ],
+)
+def test_every_worker_has_work_and_the_bar_moves_early(
+    episodes, workers, engine, sizes, monkeypatch
+):
+    ran = []
+
+    def run_block(names, env_id, options, seeds, normalize):
+        ran.append(len(seeds))
+        return [(command.Episode(seed, True, 1.0, 1, None),) for seed in seeds]
+
+    monkeypatch.setattr(command, "shared", lambda _, jobs, count: (run_block(*job) for job in jobs))
+    env_id, options = ("HPAC-Grasp-v0", {"engine": engine}) if engine else (TINY, {})
+    evaluate(["random"], env_id, episodes, workers=workers, options=options)
+    assert ran == sizes
+
+
+def test_outcomes_do_not_depend_on_how_many_worlds_are_in_a_batch():
+    options = {"engine": "mujoco"}
+    whole = evaluate(["scripted"], "HPAC-Grasp-v0", 5, options=options)
+    assert evaluate(["scripted"], "HPAC-Grasp-v0", 5, workers=2, options=options) == whole
+
+
+def test_a_policy_is_called_as_it_was_given_and_no_phases_are_told_of_a_task_without(capsys):
+    words = ["--engine", "mujoco", "--episodes", "2", "--workers", "1"]
+    assert main(["--policy", "posture", "--env", "HPAC-Posture-v1", *words]) == 0
+    table_of, *_ = capsys.readouterr().out.split("\n\n")
+    head, _, first, *_ = table_of.splitlines()
+    assert first.startswith("| posture | 2 |")
+    assert "phase" not in head
+    assert "unknown" not in table_of
+    assert {line.count("|") for line in table_of.splitlines()} == {6}
+
+
+def test_ctrl_c_on_a_terminal_ends_an_evaluation_at_once():
+    words = ["--policy", "scripted", "--engine", "mujoco", "--episodes", "400", "--workers", "2"]
+    running = subprocess.Popen(
+        [sys.executable, "-m", "hpac", "evaluate", *words],
+        cwd=ROOT,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    children = Path(f"/proc/{running.pid}/task/{running.pid}/children")
+    try:
+        wait_for(lambda: len(children.read_text().split()) >= 3)
+        workers = children.read_text().split()
+        time.sleep(3.0)
+        os.killpg(running.pid, signal.SIGINT)
+        _, complaints = running.communicate(timeout=10)
+    finally:
+        running.kill()
+    assert (running.returncode, complaints) == (130, "interrupted\n")
+    wait_for(lambda: not any(Path(f"/proc/{worker}").exists() for worker in workers), 10)
 
 
 def test_json_is_one_object_on_standard_output(capsys, tmp_path):

@@ -1,6 +1,7 @@
 """Shared work: its order, its errors, and what becomes of a worker."""
 
 import itertools
+import multiprocessing
 import os
 import signal
 import sys
@@ -95,3 +96,22 @@ def test_ctrl_c_leaves_no_traceback_of_the_pool_s_thread(monkeypatch):
     finally:
         signal.signal(signal.SIGINT, handler)
     assert said == []
+
+
+def sleep(number: int) -> bytes:
+    """More than a pipe holds, and then a job that nobody waits for."""
+    time.sleep(60 * number)
+    return bytes(10_000_000)
+
+
+@pytest.mark.parametrize("pause", [0.0, 0.01, 0.5])
+def test_running_jobs_are_ended_also_in_the_middle_of_a_result(pause):
+    results = shared(sleep, [(number,) for number in (0, 0, *[0, 1] * 8)], 2)
+    next(results)
+    time.sleep(pause)
+    workers = multiprocessing.active_children()
+    began = time.monotonic()
+    results.close()
+    assert time.monotonic() - began < 5
+    assert len(workers) == 2
+    assert not any(worker.is_alive() for worker in workers)

@@ -14,7 +14,10 @@ from hpac_gym.body.object_models import load_object_models
 from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.bridge import FaultError, HandLink
 from hpac_gym.model import ServoCommand
+from hpac_gym.physics.engine import SceneSetup
 from hpac_gym.view.meshes import hand_meshes, object_meshes, solid
+from hpac_gym.view.page import HandPage
+from hpac_gym.view.shown import Shown
 from tests.conftest import CHROMIUM
 from tests.processes import wait_for
 
@@ -53,6 +56,29 @@ def test_every_link_of_the_hand_and_every_object_is_drawn():
         assert all(volume(mesh) > 0 for mesh in meshes)
         reach = np.max([np.abs(mesh.vertices).max(axis=0) for mesh in meshes], axis=0)
         np.testing.assert_allclose(reach, model.half_extents, rtol=0.05)
+
+
+def test_a_number_typed_beyond_a_slider_is_brought_back_into_its_range():
+    page = HandPage(SceneSetup(None), "")
+    page.lift.value = 1.2
+    page.sliders[1].value = 9.0
+    page.sliders[2].value = -9.0
+    assert page.lifted() == page.lift.value == page.lift.max == 0.12
+    assert page.wanted()[1:3].tolist() == [page.sliders[1].max, page.sliders[2].min]
+    page.close()
+
+
+def test_a_page_that_something_else_drives_says_so_and_has_no_buttons_for_it():
+    page = HandPage(SceneSetup(None), "", driven=True)
+    for driven in (True, False, True):
+        page.free(not driven)
+        assert page._servos.label == "Servos [rad]" + ", read-only" * driven
+        assert {slider.disabled for slider in page.sliders} == {driven}
+        assert (page._all.visible, page._open.visible) == (not driven, not driven)
+    page.show(Shown(np.full(15, 0.5), np.zeros(6), np.zeros(3)))
+    assert "| joint | angle [rad] |" in page._figures.content
+    assert "| thumb_mp | 0.50 |" in page._figures.content
+    page.close()
 
 
 # --- in the browser
@@ -152,6 +178,8 @@ def test_a_policy_is_watched_and_the_sliders_follow_it():
         slider = page.locator("[role=slider]").nth(1)
         assert float(slider.get_attribute("aria-valuenow")) > 0.5
         assert slider.get_attribute("data-disabled") == "true"
+        assert page.get_by_text("read-only").is_visible()
+        assert not page.get_by_text("all five").is_visible()
         page.get_by_text("1 of 1 succeeded").wait_for()
         wait_for(lambda: joint(page, "index") < 0.1, 60)  # the next episode begins
         assert not page.get_by_role("button", name="Put the object back").is_visible()
