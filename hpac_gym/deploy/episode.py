@@ -70,7 +70,10 @@ class Log:
         if self._file is None:
             return
         try:
-            self._file.write(json.dumps(line, default=_plain) + "\n")
+            text = json.dumps(
+                line, default=lambda v: v.tolist() if isinstance(v, np.ndarray) else str(v)
+            )
+            self._file.write(text + "\n")
         except OSError as error:
             raise OutputError(f"cannot write '{self._path}': {error.strerror}") from None
 
@@ -232,7 +235,3 @@ def checked(given: Array, observer: Observer) -> Array:
 def wrist(action: Array, observer: Observer) -> dict[str, float]:
     """Where the first action of a policy that does so places the wrist, −1…1 by name."""
     return dict(zip(observer.task.wrist_actions, action[len(SERVOS) :].tolist(), strict=True))
-
-
-def _plain(value: Any) -> Any:
-    return value.tolist() if isinstance(value, np.ndarray) else str(value)

@@ -41,7 +41,6 @@ from hpac_gym.tasks.terms import (
     GRASP_CENTRE,
     LENGTH_UNIT,
     OBJECT_TERMS,
-    Moment,
     RewardTerm,
     Term,
     progress_terms,
@@ -155,8 +154,15 @@ class PickPlace(Task):
         self.config = config = settings_from(PickPlaceConfig(), config, "config")
         self.timetable = config.timetable
         self.duration = self.timetable.ends[-1]
-        meaning = "target position of the object, as `object_pos`"
-        target = Term("target_pos", AXES, "0.05 m", -10.0, 10.0, meaning, self._seen_target)
+        target = Term(
+            "target_pos",
+            AXES,
+            "0.05 m",
+            -10.0,
+            10.0,
+            "target position of the object, as `object_pos`",
+            lambda now: (self._target - self._offset(now.state) - GRASP_CENTRE) / LENGTH_UNIT,
+        )
         self.terms = (*COMMAND_TERMS, *OBJECT_TERMS, *progress_terms(PHASES, self.duration), target)
         weights = config.weights
         self.reward_terms = (
@@ -164,7 +170,10 @@ class PickPlace(Task):
             RewardTerm(
                 "push",
                 f"while reaching and closing: {weights.push:g} · min(displacement / drop_distance, 1)",
-                lambda now: paid_where(now.began <= CLOSE, self._push),
+                lambda now: paid_where(
+                    now.began <= CLOSE,
+                    lambda: weights.push * np.minimum(self._astray / config.drop_distance, 1.0),
+                ),
             ),
             RewardTerm(
                 "carry",
@@ -180,7 +189,8 @@ class PickPlace(Task):
                 f"while placing: {weights.place:g} for an object that stands at its target, {weights.release:g} "
                 "more when the hand has released it",
                 lambda now: paid_where(
-                    (now.began == PLACE) & self._standing, lambda: self._set_down(now)
+                    (now.began == PLACE) & self._standing,
+                    lambda: weights.place + weights.release * ~now.state.touching.any(axis=1),
                 ),
             ),
             effort_term(weights),
@@ -259,9 +269,6 @@ class PickPlace(Task):
         """
         return np.einsum("nji,nj->ni", self._rotation, state.palm_offset)
 
-    def _seen_target(self, now: Moment) -> Array:
-        return (self._target - self._offset(now.state) - GRASP_CENTRE) / LENGTH_UNIT
-
     def judge(self, state: SceneState, dt: float) -> NDArray[np.int_]:
         """Advance by one control step and judge the episodes.
 
@@ -292,10 +299,3 @@ class PickPlace(Task):
 
     def script(self) -> ScriptedPickPlace:
         return ScriptedPickPlace(self.timetable)
-
-    def _push(self) -> Array:
-        return self.config.weights.push * np.minimum(self._astray / self.config.drop_distance, 1.0)
-
-    def _set_down(self, now: Moment) -> Array:
-        weights = self.config.weights
-        return weights.place + weights.release * ~now.state.touching.any(axis=1)
