@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
 from time import monotonic
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -239,18 +239,6 @@ def rays(seen: Sequence[Array] | Array, lens: Lens) -> Array:
 # The camera itself ---------------------------------------------------------------
 
 
-class Frames(Protocol):
-    """Where pictures come from."""
-
-    def read(self) -> np.ndarray | None:
-        """The next picture, shape (height, width) or (height, width, 3); None: there is no more."""
-        ...
-
-    def release(self) -> None:
-        """Let the camera go."""
-        ...
-
-
 class Device:
     """A camera by its number, or a video by its file or address, as OpenCV opens it.
 
@@ -268,12 +256,12 @@ class Device:
             self._video.set(cv2.CAP_PROP_FRAME_HEIGHT, size[1])
 
     def read(self) -> np.ndarray | None:
-        """As `Frames.read`."""
+        """The next picture, shape (height, width) or (height, width, 3); None: there is no more."""
         came, picture = self._video.read()
         return picture if came else None
 
     def release(self) -> None:
-        """As `Frames.release`."""
+        """Let the camera go."""
         self._video.release()
 
 
@@ -292,7 +280,7 @@ class Watch(Generic[_Result]):
 
     def __init__(
         self,
-        frames: Frames,
+        frames: Device,
         look: Callable[[np.ndarray], _Result],
         clock: Callable[[], float] = monotonic,
     ) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from hpac_gym.body.objects import ObjectSpec
-from hpac_gym.camera.detection import Device, Frames, Lens, Watch, detect, lens_of
+from hpac_gym.camera.detection import Device, Lens, Watch, detect, lens_of
 from hpac_gym.camera.poses import object_place
 from hpac_gym.deploy.errors import PoseError
 from hpac_gym.deploy.observer import UPRIGHT, Pose
@@ -188,7 +188,7 @@ class Tags:
     where = "the camera"
 
     def __init__(
-        self, frames: Frames, lens: Lens, top: float, clock: Callable[[], float] = monotonic
+        self, frames: Device, lens: Lens, top: float, clock: Callable[[], float] = monotonic
     ) -> None:
         self._lens = lens
         self._top = top
