@@ -10,7 +10,6 @@ import socket
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from time import monotonic, sleep
-from typing import Protocol
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -32,12 +31,11 @@ FURTHEST = 1.0
 COLUMNS = ("time_s", "x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 
 
-class Source(Protocol):
+class Source:
     """Where poses come from."""
 
     def latest(self) -> tuple[Pose, float] | None:
         """The latest pose and its age [s]; None before the first. Never waits."""
-        ...
 
     def close(self) -> None:
         """Let go what the source holds."""
@@ -63,21 +61,17 @@ def pose_of(numbers: Sequence[float], where: str) -> Pose:
     return Pose(values[:3], tuple((values[3:] / length).tolist()))
 
 
-class Fixed:
+class Fixed(Source):
     """One pose for ever."""
 
     def __init__(self, pose: Pose) -> None:
         self._pose = pose
 
     def latest(self) -> tuple[Pose, float]:
-        """As `Source.latest`."""
         return self._pose, 0.0
 
-    def close(self) -> None:
-        """Nothing to do."""
 
-
-class Recorded:
+class Recorded(Source):
     """Poses from a file with the columns `COLUMNS`, the last four optional, played from now on; the
     last one ages.
 
@@ -111,16 +105,12 @@ class Recorded:
         self._began = clock() - self._times[0]
 
     def latest(self) -> tuple[Pose, float]:
-        """As `Source.latest`."""
         now = self._clock() - self._began
         place = max(int(np.searchsorted(self._times, now, side="right")) - 1, 0)
         return self._poses[place], max(now - self._times[place], 0.0)
 
-    def close(self) -> None:
-        """Nothing to do."""
 
-
-class Packets:
+class Packets(Source):
     """Poses that another program sends by UDP to a port of this computer; see `PACKET`.
 
     Raises:
@@ -148,7 +138,6 @@ class Packets:
         self.where = f"udp:{self.port}"
 
     def latest(self) -> tuple[Pose, float] | None:
-        """As `Source.latest`."""
         while True:
             try:
                 data = self._socket.recv(4096)
@@ -173,7 +162,7 @@ class Packets:
         self._socket.close()
 
 
-class Tags:
+class Tags(Source):
     """Poses from the tags of ``hpac tags`` on the object and on the hand, before one camera.
 
     Args:
