@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from types import MappingProxyType
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -169,22 +169,11 @@ def open_hand(thumb_cmc: float) -> Array:
     return synergy
 
 
-class Weights(Protocol):
-    """Weights of the reward terms that tasks with an object share."""
-
-    thumb: float
-    finger: float
-    opposed: float
-    effort: float
-    success: float
-    failure: float
-
-
 FINGER_PARTS = slice(PARTS.index(FINGERS[0]), PARTS.index(FINGERS[-1]) + 1)
 THUMB_PART = PARTS.index("thumb")
 
 
-def contact_score(weights: Weights) -> Callable[[NDArray[np.bool_]], Array]:
+def contact_score(weights: Any) -> Callable[[NDArray[np.bool_]], Array]:
     """Score of the parts that touch the object, shape (n,), as a function of
     `SceneState.touching`.
     """
@@ -212,7 +201,7 @@ def judged(failed: NDArray[np.bool_], over: NDArray[np.bool_]) -> NDArray[np.int
     return outcome
 
 
-def contact_term(weights: Weights, phase: int) -> RewardTerm:
+def contact_term(weights: Any, phase: int) -> RewardTerm:
     """Reward for touching the object in one phase."""
     score = contact_score(weights)
     meaning = (
@@ -226,7 +215,7 @@ def contact_term(weights: Weights, phase: int) -> RewardTerm:
     )
 
 
-def effort_term(weights: Weights) -> RewardTerm:
+def effort_term(weights: Any) -> RewardTerm:
     """Cost of changing the action."""
     return RewardTerm(
         "effort",
@@ -235,7 +224,7 @@ def effort_term(weights: Weights) -> RewardTerm:
     )
 
 
-def outcome_term(weights: Weights) -> RewardTerm:
+def outcome_term(weights: Any) -> RewardTerm:
     """Reward for how an episode ends."""
     by_outcome = np.array([0.0, weights.success, weights.failure])
     meaning = f"{weights.success:g} for success or {weights.failure:g} for failure, once"
