@@ -21,7 +21,7 @@ from hpac_gym.tasks.cameras import CameraNoise, ObjectCamera
 from hpac_gym.tasks.grasp_setups import PALM_SURFACE
 from hpac_gym.tasks.grip import lengths
 from hpac_gym.tasks.options import config_option
-from hpac_gym.tasks.phases import PickPlaceTimetable, phase_at
+from hpac_gym.tasks.phases import PickPlaceTimetable
 from hpac_gym.tasks.privileged import PRIVILEGED_TERMS
 from hpac_gym.tasks.scripted import ScriptedPickPlace
 from hpac_gym.tasks.task import (
@@ -153,7 +153,9 @@ class PickPlace(Task):
     ) -> None:
         self.config = config = settings_from(PickPlaceConfig(), config, "config")
         self.timetable = config.timetable
-        self.duration = self.timetable.ends[-1]
+        ends = self.timetable.ends
+        self._ends = (*ends[: LIFT + 1], ends[-1])  # all after the lift is "place"
+        self.duration = ends[-1]
         target = Term(
             "target_pos",
             AXES,
@@ -255,13 +257,6 @@ class PickPlace(Task):
         return replace(self.timetable, carry=(float(forward), float(aside), float(up))).wrist_path(
             times
         )
-
-    def phase(self, time: Array) -> NDArray[np.int_]:
-        """Index into `PHASES` of the phase that is running or begins at times [s], shape (n,); all
-        after the lift is "place".
-        """
-        ends = self.timetable.ends
-        return phase_at(time, (*ends[: LIFT + 1], ends[-1]))
 
     def _offset(self, state: SceneState) -> Array:
         """Displacement of the wrist from its start, along the axes of the hand frame, shape (n, 3)

@@ -23,6 +23,7 @@ from hpac_gym.physics.engine import PARTS, Contacts, SceneSetup, SceneState, Vie
 from hpac_gym.tasks.cameras import CameraNoise, MarkerCamera, ObjectCamera
 from hpac_gym.tasks.grip import Grip
 from hpac_gym.tasks.phases import CONTROL_HZ as CONTROL_HZ
+from hpac_gym.tasks.phases import phase_at
 from hpac_gym.tasks.scripted import Script, ScriptedClosure
 from hpac_gym.tasks.terms import Moment, RewardTerm, Term
 
@@ -55,6 +56,8 @@ class Task(ABC):
     """Settings of the task, a frozen dataclass."""
     phases: tuple[str, ...] = ("move",)
     """Names of an episode's phases, in order."""
+    _ends: tuple[float, ...] = ()
+    """End time of each phase [s]; empty for a single one."""
     privileged_terms: tuple[Term, ...] = ()
     """Additional terms that only a critic may observe."""
     goal_terms: tuple[Term, ...] = ()
@@ -119,7 +122,7 @@ class Task(ABC):
         """Index into `phases` of the phase that is running or begins at times [s], shape (n,); the
         last phase stays.
         """
-        return np.zeros(len(time), dtype=int)
+        return phase_at(time, self._ends)
 
     def chosen(self, setup: SceneSetup, action: Array) -> SceneSetup:
         """The setup of an episode as changed by its first action, shape (6 + len(wrist_actions),),
