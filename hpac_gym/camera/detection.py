@@ -21,8 +21,6 @@ from hpac_gym.model.checks import Array
 HD = (1280, 720)
 FIELD_OF_VIEW_DEG = 65.0
 """Horizontal field of view of a camera without a file (chosen: a usual webcam)."""
-LONGEST_WAIT = 5.0
-"""Time within which a camera gives its first picture [s]."""
 Seen = dict[int, Array]
 """Corners of the tags in one picture, by id, in the order of `sheet.Tag.corners`, shape (4, 2)
 [pixels].
@@ -275,7 +273,6 @@ class Watch(Generic[_Result]):
 
     Attributes:
         fault: why the last picture had no result; empty if it had one.
-        ended: the camera gives no more pictures.
     """
 
     def __init__(
@@ -285,7 +282,6 @@ class Watch(Generic[_Result]):
         clock: Callable[[], float] = monotonic,
     ) -> None:
         self.fault = ""
-        self.ended = False
         self._frames = frames
         self._look = look
         self._clock = clock
@@ -310,7 +306,6 @@ class Watch(Generic[_Result]):
         except Exception as error:  # of a thread, which nobody else would see
             self.fault = f"{type(error).__name__}: {error}"
         finally:
-            self.ended = True
             self._frames.release()
 
     def latest(self) -> tuple[_Result, float] | None:
