@@ -22,6 +22,7 @@ from hpac_gym.camera.detection import Lens, Seen
 from hpac_gym.camera.sheet import CHAINS, STRIPS
 from hpac_gym.model import JOINT_INDEX, JOINTS, SERVO_INDEX, SERVOS, Hand, elastic_joints_from_servo
 from hpac_gym.model.checks import Array
+from hpac_gym.output import read_text
 
 APART = 0.1
 """Longest time between an angle of another program and the sample that takes it [s]."""
@@ -111,11 +112,8 @@ def joined(segments: Sequence[Segment], path: Path) -> None:
     Raises:
         RecordError: The file cannot be read, or has no such columns, or a time goes back.
     """
-    try:
-        rows = list(csv.DictReader(path.read_text(encoding="utf-8-sig").splitlines()))
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "not UTF-8 text"
-        raise RecordError(f"angles {path}: {reason}") from None
+    text = read_text(path, "angles", RecordError, "utf-8-sig")
+    rows = list(csv.DictReader(text.splitlines()))
     names = [name for name in JOINT_COLUMNS if rows and name in rows[0]]
     if not names or "time_s" not in rows[0]:
         raise RecordError(

@@ -19,6 +19,7 @@ from hpac_gym.camera.detection import Device, Lens, Watch, detect, lens_of
 from hpac_gym.camera.poses import object_place
 from hpac_gym.deploy.errors import PoseError
 from hpac_gym.deploy.observer import UPRIGHT, Pose
+from hpac_gym.output import read_text
 from hpac_gym.progress import Late
 
 PACKET = "hpac_pose"
@@ -80,11 +81,8 @@ class Recorded(Source):
     """
 
     def __init__(self, path: Path, clock: Callable[[], float] = monotonic) -> None:
-        try:
-            rows = list(csv.DictReader(path.read_text(encoding="utf-8-sig").splitlines()))
-        except (OSError, UnicodeDecodeError) as error:
-            reason = getattr(error, "strerror", None) or "not UTF-8 text"
-            raise PoseError(f"poses {path}: {reason}") from None
+        text = read_text(path, "poses", PoseError, "utf-8-sig")
+        rows = list(csv.DictReader(text.splitlines()))
         self._times: list[float] = []
         self._poses: list[Pose] = []
         for number, row in enumerate(rows, 2):
