@@ -60,8 +60,7 @@ class Ramp:
         since = now - self.begun + early * np.array([[-1.0], [1.0]])
         share = np.clip(since / max(self.until - self.begun, 1e-9), 0.0, 1.0)
         ends = np.stack([start + share * (self.to - start) for start in (self.low, self.high)])
-        least_and_greatest: Array = np.stack([ends.min(axis=(0, 1)), ends.max(axis=(0, 1))])
-        return least_and_greatest
+        return np.stack([ends.min(axis=(0, 1)), ends.max(axis=(0, 1))])
 
 
 @dataclass(slots=True)
