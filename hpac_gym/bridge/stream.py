@@ -10,8 +10,6 @@ STATUS, whose answer says which move the hand makes and where it is.
 A far target is approached by moves that are longer than the period, at nearly the full rate: the next
 one only carries on, so that a frame that is early, late or lost costs no way."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from weakref import WeakMethod

@@ -2,8 +2,6 @@
 
 A task's wrist stands, lifts and shakes by a table. On a hand a person, or another program, does it."""
 
-from __future__ import annotations
-
 import json
 import socket
 import sys

@@ -3,8 +3,6 @@
 The object's pose comes from a source, the arm is told when each phase begins, and every step goes
 into a log. Ctrl-C opens the hand slowly and disarms it."""
 
-from __future__ import annotations
-
 import argparse
 import hashlib
 import sys

@@ -2,8 +2,6 @@
 
 Whatever happens, the hand opens slowly and is disarmed before anything else is done."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from contextlib import suppress

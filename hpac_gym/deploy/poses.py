@@ -2,8 +2,6 @@
 
 All of them give poses in the frame of the hand, as `hpac_gym.deploy.observer.Pose` has it."""
 
-from __future__ import annotations
-
 import csv
 import json
 import socket

@@ -1,8 +1,6 @@
 """``--view``: a real or virtual hand, or a log, on the page in the browser. A hand has no joint
 sensors: it is shown where the elastic model predicts it."""
 
-from __future__ import annotations
-
 import time
 from contextlib import suppress
 from threading import Event, Thread

@@ -1,7 +1,5 @@
 """The grasp task: close on an object, lift it, keep it through a shake, and bring it down again."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
 

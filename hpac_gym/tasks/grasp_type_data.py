@@ -3,8 +3,6 @@ the rule by which the grasp is judged.
 
 The numbers are in ``data/grasp_types.toml``."""
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

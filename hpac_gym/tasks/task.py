@@ -5,8 +5,6 @@ A task is a plain object. It holds the state of n episodes as arrays between `st
 outcomes. It depends on no engine, only on the `SceneState` that it receives. `docs/own_task.md`
 shows how to write one."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
