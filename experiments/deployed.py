@@ -6,8 +6,6 @@ observer. Each seed is one episode of the environment, whose own run is the comp
 object with the same error of the camera, that of the environment's first look, and know its size; in
 the last row, a good link, the wire has noise of its own, averaged as `hpac deploy` averages it."""
 
-from __future__ import annotations
-
 import json
 import os
 import sys
