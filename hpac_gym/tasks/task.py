@@ -20,8 +20,7 @@ from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import PARTS, Contacts, SceneSetup, SceneState, Viewpoint
 from hpac_gym.tasks.cameras import CameraNoise, MarkerCamera, ObjectCamera
 from hpac_gym.tasks.grip import Grip
-from hpac_gym.tasks.phases import CONTROL_HZ as CONTROL_HZ
-from hpac_gym.tasks.phases import phase_at
+from hpac_gym.tasks.phases import CONTROL_HZ as CONTROL_HZ, phase_at
 from hpac_gym.tasks.scripted import Script, ScriptedClosure
 from hpac_gym.tasks.terms import Moment, RewardTerm, Term
 

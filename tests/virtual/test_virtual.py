@@ -24,8 +24,7 @@ from hpac_gym.model import ServoCommand
 from hpac_gym.policies.loading import load_policy
 from hpac_gym.registration import GRASP, GRASP_ANY
 from hpac_gym.tasks.task import RUNNING, SUCCESS
-from hpac_gym.virtual.body import LATCH_US, LATE, Body, LockStep
-from hpac_gym.virtual.body import Path as WristPath
+from hpac_gym.virtual.body import LATCH_US, LATE, Body, LockStep, Path as WristPath
 from hpac_gym.virtual.hand import Virtual
 from hpac_gym.virtual.scene import CAN, scene
 from hpac_gym.virtual.wire import BadTransport, Faults, Way
