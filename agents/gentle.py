@@ -5,8 +5,6 @@ would have done, on what it does itself (DAgger, Ross et al. 2011); with ``--ste
 Stable-Baselines3 goes on from there, whose critic also sees the true forces. The folder gets
 ``policy.hpac``."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import asdict
 from pathlib import Path

@@ -6,8 +6,6 @@ observer. Each seed is one episode of the environment, whose own run is the comp
 object with the same error of the camera, that of the environment's first look, and know its size; in
 the last row, a good link, the wire has noise of its own, averaged as `hpac deploy` averages it."""
 
-from __future__ import annotations
-
 import json
 import os
 import sys
@@ -25,6 +23,7 @@ from hpac_gym.command import command_parser, run, whole_number
 from hpac_gym.deploy.episode import WATCHDOG, Log, run_episode
 from hpac_gym.deploy.errors import DeployError
 from hpac_gym.deploy.observer import Observer, Pose
+from hpac_gym.deploy.poses import Source
 from hpac_gym.envs import HandEnv
 from hpac_gym.evaluation.environment import make_env
 from hpac_gym.evaluation.episodes import run_episodes, single
@@ -54,7 +53,7 @@ NOISE = CameraNoise(size=0.0)
 OUT = Path("docs/results/experiments/deployed.json")
 
 
-class Eye:
+class Eye(Source):
     """The camera of a world, with the error of the environment's first look."""
 
     def __init__(self, env: HandEnv, world: LockStep) -> None:
@@ -73,9 +72,6 @@ class Eye:
         pose, age = self._world.latest()
         turn = self._turn * Rotation.from_quat(pose.quaternion)
         return Pose(pose.position + self._off, tuple(turn.as_quat().tolist())), age
-
-    def close(self) -> None:
-        """Nothing to do."""
 
 
 def through_the_wire(

@@ -4,8 +4,6 @@ The same episodes of a policy on the nominal hand, on hands of a workshop before
 calibration, and with one cause at a time, in batches of worlds. The link is the batch's own ramp,
 which is what the firmware's pulses do (`tests/experiments/test_gap.py`)."""
 
-from __future__ import annotations
-
 import json
 import os
 import sys

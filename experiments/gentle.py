@@ -6,8 +6,6 @@ Every policy moves the hand by increments of its synergy, 20 a second, from the 
 servos tell. ``judge`` runs policy files, such as those of ``agents.gentle``. The teacher's numbers
 were chosen on training seeds; every result is of held-out ones."""
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Callable

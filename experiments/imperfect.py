@@ -1,8 +1,6 @@
 """`hpac calibrate` on two sweeps of each of some hands that lack nothing of what a workshop's hand may
 have: ``python -m experiments.imperfect``."""
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Sequence

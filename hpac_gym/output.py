@@ -1,8 +1,8 @@
-"""Writing of results: tables, and atomic file writes."""
+"""Text files read with errors of one line, tables, and atomic file writes."""
 
 import os
 import tempfile
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -56,6 +56,17 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
     """
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
+
+
+def read_text(
+    path: Path, what: str, error: Callable[[str], HpacError], encoding: str = "utf-8"
+) -> str:
+    """Text of a file; if it cannot be read, or is no UTF-8, the error says so and what it is."""
+    try:
+        return path.read_text(encoding=encoding)
+    except (OSError, UnicodeDecodeError) as fault:
+        reason = fault.strerror if isinstance(fault, OSError) else "not UTF-8 text"
+        raise error(f"{what} {path}: {reason}") from None
 
 
 def writable_folder(path: Path) -> Path:

@@ -3,8 +3,6 @@
 A task is named as ``module:name`` and imported when its first environment is made, so that the table
 costs nothing. Gymnasium is imported when ids are registered."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from importlib import import_module

@@ -1,7 +1,5 @@
 """Tables of the pages, from the data in ``docs/results``."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path

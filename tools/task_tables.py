@@ -1,7 +1,5 @@
 """Tables of the pages of the environments and grasps, from the code."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields
 from typing import Any

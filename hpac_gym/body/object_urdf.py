@@ -11,32 +11,10 @@ from xml.etree import ElementTree as Xml
 
 import numpy as np
 
-from hpac_gym.body.object_models import ObjectModel, load_object_models
+from hpac_gym.body.object_models import ObjectModel
 from hpac_gym.body.solids import Solid
 from hpac_gym.body.urdf import HEADER, add_inertial, add_shape, text_of
-from hpac_gym.errors import HpacError
 from hpac_gym.model.checks import Array
-
-PACKAGE = Path(__file__).resolve().parents[1]
-ASSET_FOLDERS = (PACKAGE / "assets" / "urdf", PACKAGE.parent / "assets" / "urdf")
-
-
-class AssetError(HpacError, FileNotFoundError):
-    """A model file is neither in the package nor in the checkout."""
-
-
-def asset_path(name: str) -> Path:
-    """The path of a model file such as ``hpac_hand.urdf``; the installed package is asked first.
-
-    Raises:
-        AssetError: No folder has a file of that name.
-    """
-    for folder in ASSET_FOLDERS:
-        if (folder / name).is_file():
-            return folder / name
-    raise AssetError(
-        f"no model file {name!r} in {' or '.join(str(folder) for folder in ASSET_FOLDERS)}"
-    )
 
 
 def object_urdf(model: ObjectModel) -> str:
@@ -58,11 +36,7 @@ def object_urdf(model: ObjectModel) -> str:
 
 @cache
 def object_urdf_file(model: ObjectModel) -> Path:
-    """URDF file of an object: the committed file for a named grasp's object, otherwise a temporary
-    one for this process.
-    """
-    if load_object_models().get(model.name) is model:
-        return asset_path(f"objects/{model.name}.urdf")
+    """URDF file of an object, a temporary one for this process."""
     folder = Path(tempfile.mkdtemp(dir=_folder().name))
     for index, solid in enumerate(model.solids):
         if solid.hull is not None:

@@ -4,8 +4,6 @@ clear, and a safe end.
 No call blocks indefinitely.
 """
 
-from __future__ import annotations
-
 import weakref
 from collections.abc import Callable
 from contextlib import suppress

@@ -1,7 +1,5 @@
 """The link to one hand: arming, moves, heartbeat; on closing it leaves the hand without pulses."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -9,11 +9,13 @@ from dataclasses import dataclass
 from enum import IntEnum
 from importlib.resources import files
 
-from hpac_gym.bridge.codes import Action as Action
-from hpac_gym.bridge.codes import Fault as Fault
-from hpac_gym.bridge.codes import Reason as Reason
-from hpac_gym.bridge.codes import Reset as Reset
-from hpac_gym.bridge.codes import State as State
+from hpac_gym.bridge.codes import (
+    Action as Action,
+    Fault as Fault,
+    Reason as Reason,
+    Reset as Reset,
+    State as State,
+)
 
 _TYPE = re.compile(r"^([ui])(8|16|32)(?:\[(\d+)\])?$")
 

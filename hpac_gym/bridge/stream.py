@@ -10,8 +10,6 @@ STATUS, whose answer says which move the hand makes and where it is.
 A far target is approached by moves that are longer than the period, at nearly the full rate: the next
 one only carries on, so that a frame that is early, late or lost costs no way."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from weakref import WeakMethod
@@ -60,8 +58,7 @@ class Ramp:
         since = now - self.begun + early * np.array([[-1.0], [1.0]])
         share = np.clip(since / max(self.until - self.begun, 1e-9), 0.0, 1.0)
         ends = np.stack([start + share * (self.to - start) for start in (self.low, self.high)])
-        least_and_greatest: Array = np.stack([ends.min(axis=(0, 1)), ends.max(axis=(0, 1))])
-        return least_and_greatest
+        return np.stack([ends.min(axis=(0, 1)), ends.max(axis=(0, 1))])
 
 
 @dataclass(slots=True)

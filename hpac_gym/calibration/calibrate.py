@@ -2,8 +2,6 @@
 identify.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 from dataclasses import replace

@@ -133,10 +133,7 @@ class Prior:
 
     def values(self, unknowns: Array) -> Array:
         """Values of the combinations for given unknowns."""
-        numbers: Array = np.where(
-            self.linear, unknowns, np.exp(np.where(self.linear, 0.0, unknowns))
-        )
-        return numbers
+        return np.where(self.linear, unknowns, np.exp(np.where(self.linear, 0.0, unknowns)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,8 +215,7 @@ class _Problem:
         low, high = self.bounds
 
         def within(steps: Array) -> Array:
-            clipped: Array = np.clip(solution + unit * steps, low, high)
-            return clipped
+            return np.clip(solution + unit * steps, low, high)
 
         across, along = np.linalg.qr(
             optimize.approx_fprime(solution, lambda unknowns: self.rows(unknowns, scale), 1e-6)

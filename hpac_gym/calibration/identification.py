@@ -7,8 +7,6 @@ Every digit is fitted separately, in its `combinations`, with a prior around a b
 decides where the data is uninformative, and the report states where. The drift line that the rest
 poses of a joint determine enters with its remaining uncertainty."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

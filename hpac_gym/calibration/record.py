@@ -15,7 +15,7 @@ import numpy as np
 from hpac_gym.errors import HpacError
 from hpac_gym.model import HPAC, JOINTS, SERVOS
 from hpac_gym.model.checks import Array
-from hpac_gym.output import write_text
+from hpac_gym.output import read_text, write_text
 
 HEADER = "# hpac sweep, format 1"
 PHASES = ("rest", "flexion", "extension")
@@ -134,12 +134,7 @@ def read_sweep(path: str | os.PathLike[str], allow_missing: bool = False) -> Swe
             number, in degrees or unknown; or time does not increase within a segment.
     """
     path = Path(path)
-    try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except OSError as error:
-        raise RecordError(f"sweep {path}: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise RecordError(f"sweep {path}: not UTF-8 text") from None
+    lines = read_text(path, "sweep", RecordError, "utf-8-sig").splitlines()
     try:
         return _parse(lines, allow_missing)
     except RecordError as error:

@@ -46,8 +46,6 @@ class Turns:
     """
     misfit: float
     """Median error of a tag's corners, root mean square [pixels]."""
-    missing: int
-    """Number of tags that were not seen, in all pictures together."""
 
 
 def turns(pictures: Sequence[Seen], tags: Sequence[Tag], lens: Lens, at_rest: Array) -> Turns:
@@ -107,7 +105,7 @@ def turns(pictures: Sequence[Seen], tags: Sequence[Tag], lens: Lens, at_rest: Ar
     joint_pos = _wrapped(np.diff(turn, axis=1))
     total = np.nansum(joint_pos, axis=1)
     sign = np.sign(total[np.argmax(np.abs(total))]) or 1.0
-    return Turns(sign * joint_pos, misfit, int(np.isnan(turn).sum()))
+    return Turns(sign * joint_pos, misfit)
 
 
 def _turned(seen: Array, half: Array, numbers: Array) -> tuple[Array, Array]:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from hpac_gym.camera import CameraError, opencv
-from hpac_gym.camera.detection import HD, Device, Frames, Lens, Seen, detect
+from hpac_gym.camera.detection import HD, Device, Lens, Seen, detect
 from hpac_gym.camera.sheet import RULER, TAGS, draw
 from hpac_gym.command import add_json, say
 from hpac_gym.output import write_text
@@ -61,7 +61,7 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def calibrated(frames: Frames) -> tuple[Lens, float]:
+def calibrated(frames: Device) -> tuple[Lens, float]:
     """A camera's numbers from `VIEWS` different pictures of the sheet, and the fit's error [pixels].
 
     Raises:

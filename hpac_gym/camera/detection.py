@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
 from time import monotonic
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -21,8 +21,6 @@ from hpac_gym.model.checks import Array
 HD = (1280, 720)
 FIELD_OF_VIEW_DEG = 65.0
 """Horizontal field of view of a camera without a file (chosen: a usual webcam)."""
-LONGEST_WAIT = 5.0
-"""Time within which a camera gives its first picture [s]."""
 Seen = dict[int, Array]
 """Corners of the tags in one picture, by id, in the order of `sheet.Tag.corners`, shape (4, 2)
 [pixels].
@@ -239,18 +237,6 @@ def rays(seen: Sequence[Array] | Array, lens: Lens) -> Array:
 # The camera itself ---------------------------------------------------------------
 
 
-class Frames(Protocol):
-    """Where pictures come from."""
-
-    def read(self) -> np.ndarray | None:
-        """The next picture, shape (height, width) or (height, width, 3); None: there is no more."""
-        ...
-
-    def release(self) -> None:
-        """Let the camera go."""
-        ...
-
-
 class Device:
     """A camera by its number, or a video by its file or address, as OpenCV opens it.
 
@@ -268,12 +254,12 @@ class Device:
             self._video.set(cv2.CAP_PROP_FRAME_HEIGHT, size[1])
 
     def read(self) -> np.ndarray | None:
-        """As `Frames.read`."""
+        """The next picture, shape (height, width) or (height, width, 3); None: there is no more."""
         came, picture = self._video.read()
         return picture if came else None
 
     def release(self) -> None:
-        """As `Frames.release`."""
+        """Let the camera go."""
         self._video.release()
 
 
@@ -287,17 +273,15 @@ class Watch(Generic[_Result]):
 
     Attributes:
         fault: why the last picture had no result; empty if it had one.
-        ended: the camera gives no more pictures.
     """
 
     def __init__(
         self,
-        frames: Frames,
+        frames: Device,
         look: Callable[[np.ndarray], _Result],
         clock: Callable[[], float] = monotonic,
     ) -> None:
         self.fault = ""
-        self.ended = False
         self._frames = frames
         self._look = look
         self._clock = clock
@@ -322,7 +306,6 @@ class Watch(Generic[_Result]):
         except Exception as error:  # of a thread, which nobody else would see
             self.fault = f"{type(error).__name__}: {error}"
         finally:
-            self.ended = True
             self._frames.release()
 
     def latest(self) -> tuple[_Result, float] | None:

@@ -2,13 +2,11 @@
 
 A task's wrist stands, lifts and shakes by a table. On a hand a person, or another program, does it."""
 
-from __future__ import annotations
-
 import json
 import socket
 import sys
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any
 
 from hpac_gym.deploy.errors import DeployError
 from hpac_gym.progress import Late
@@ -23,35 +21,20 @@ of a policy that places it, −1…1 by the name of the action.
 VERSION = 1
 
 
-class Arm(Protocol):
-    """Carries the hand."""
+class Arm:
+    """Carries the hand. As it stands nobody does, or a table by its own clock: ready at once."""
 
     def ready(self, wait: Callable[[float], None], told: dict[str, Any]) -> None:
         """Return when the hand is where it shall close; `wait` keeps it alive for some seconds."""
-        ...
 
     def tell(self, told: dict[str, Any]) -> None:
         """Take note of the phase and of the wrist's offset, in every step; never waits."""
-        ...
 
     def close(self) -> None:
         """Let go what the arm holds."""
 
 
-class Nobody:
-    """Nobody carries the hand, or a table does by its own clock: it is ready at once."""
-
-    def ready(self, wait: Callable[[float], None], told: dict[str, Any]) -> None:
-        """Return at once."""
-
-    def tell(self, told: dict[str, Any]) -> None:
-        """Nothing to do."""
-
-    def close(self) -> None:
-        """Nothing to do."""
-
-
-class Person:
+class Person(Arm):
     """A person with the Enter key, to whom every phase is told."""
 
     _phase = ""
@@ -76,11 +59,8 @@ class Person:
             self._phase = told["phase"]
             print(f"\narm: {self._phase}", file=sys.stderr, flush=True)
 
-    def close(self) -> None:
-        """Nothing to do."""
 
-
-class Remote:
+class Remote(Arm):
     """A program that moves an arm, told by UDP; see `PACKET`.
 
     Raises:
@@ -136,7 +116,7 @@ def arm_of(text: str) -> Arm:
         DeployError: It is none of them.
     """
     if text in ("none", "enter"):
-        return {"none": Nobody, "enter": Person}[text]()
+        return {"none": Arm, "enter": Person}[text]()
     kind, _, address = text.partition(":")
     host, _, port = address.rpartition(":")
     if kind != "udp" or not host or not port.isdigit():

@@ -3,8 +3,6 @@
 The object's pose comes from a source, the arm is told when each phase begins, and every step goes
 into a log. Ctrl-C opens the hand slowly and disarms it."""
 
-from __future__ import annotations
-
 import argparse
 import hashlib
 import sys
@@ -152,6 +150,7 @@ def run(options: argparse.Namespace) -> int:
             seconds=options.average,
             oldest=options.oldest,
             live=lambda figures: [show(figures) for show in live],
+            note=lambda text: print(f"\r{text:<90}", file=sys.stderr, flush=True),
         )
     names = ("acknowledged", "late", "lost", "refused")
     told = {name: getattr(counts, name) for name in names}

@@ -2,8 +2,6 @@
 
 Whatever happens, the hand opens slowly and is disarmed before anything else is done."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from contextlib import suppress
@@ -70,7 +68,10 @@ class Log:
         if self._file is None:
             return
         try:
-            self._file.write(json.dumps(line, default=_plain) + "\n")
+            text = json.dumps(
+                line, default=lambda v: v.tolist() if isinstance(v, np.ndarray) else str(v)
+            )
+            self._file.write(text + "\n")
         except OSError as error:
             raise OutputError(f"cannot write '{self._path}': {error.strerror}") from None
 
@@ -115,6 +116,7 @@ def run_episode(
     oldest: float = OLDEST,
     patience: float = 5.0,
     live: Live = lambda _: None,
+    note: Callable[[str], None] = lambda _: None,
 ) -> StreamCounts:
     """Run one episode on a connected hand; afterwards it is open and without pulses.
 
@@ -130,6 +132,7 @@ def run_episode(
         oldest: greatest age of a pose while the hand closes [s].
         patience: longest wait for the first pose [s].
         live: called with every step's figures.
+        note: called with what begins before and after the steps.
 
     Raises:
         PoseError: No pose, one that cannot be observed, or the object was lost while the hand closed.
@@ -146,6 +149,7 @@ def run_episode(
         pose = averaged(source, seconds, oldest, patience, link.sleep, clock)
         observer.start()
         memory: Any = None
+        note("to the start posture")
         go(link, np.asarray(observer.servo))
         stream = link.stream(1 / CONTROL_HZ)
         counts = stream.counts
@@ -185,7 +189,9 @@ def run_episode(
             live(figures | seen | {"heat": heat, "counts": counts})
         stream.wait()
         stream.close()
+        note(f"holds for {hold:g} s")
         link.sleep(hold)
+        note("opens")
         open_hand(link)
         log.write(end="done", **asdict(counts))
     except BaseException as error:
@@ -232,7 +238,3 @@ def checked(given: Array, observer: Observer) -> Array:
 def wrist(action: Array, observer: Observer) -> dict[str, float]:
     """Where the first action of a policy that does so places the wrist, −1…1 by name."""
     return dict(zip(observer.task.wrist_actions, action[len(SERVOS) :].tolist(), strict=True))
-
-
-def _plain(value: Any) -> Any:
-    return value.tolist() if isinstance(value, np.ndarray) else str(value)

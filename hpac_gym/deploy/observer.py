@@ -1,8 +1,6 @@
 """The observation and the commands of a task on a real hand: from the same tables of terms as in the
 simulation, without an engine."""
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import dataclass, replace
 from typing import Any

@@ -2,24 +2,22 @@
 
 All of them give poses in the frame of the hand, as `hpac_gym.deploy.observer.Pose` has it."""
 
-from __future__ import annotations
-
 import csv
 import json
 import socket
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from time import monotonic, sleep
-from typing import Protocol
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from hpac_gym.body.objects import ObjectSpec
-from hpac_gym.camera.detection import Device, Frames, Lens, Watch, detect, lens_of
+from hpac_gym.camera.detection import Device, Lens, Watch, detect, lens_of
 from hpac_gym.camera.poses import object_place
 from hpac_gym.deploy.errors import PoseError
 from hpac_gym.deploy.observer import UPRIGHT, Pose
+from hpac_gym.output import read_text
 from hpac_gym.progress import Late
 
 PACKET = "hpac_pose"
@@ -32,12 +30,11 @@ FURTHEST = 1.0
 COLUMNS = ("time_s", "x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 
 
-class Source(Protocol):
+class Source:
     """Where poses come from."""
 
     def latest(self) -> tuple[Pose, float] | None:
         """The latest pose and its age [s]; None before the first. Never waits."""
-        ...
 
     def close(self) -> None:
         """Let go what the source holds."""
@@ -63,21 +60,17 @@ def pose_of(numbers: Sequence[float], where: str) -> Pose:
     return Pose(values[:3], tuple((values[3:] / length).tolist()))
 
 
-class Fixed:
+class Fixed(Source):
     """One pose for ever."""
 
     def __init__(self, pose: Pose) -> None:
         self._pose = pose
 
     def latest(self) -> tuple[Pose, float]:
-        """As `Source.latest`."""
         return self._pose, 0.0
 
-    def close(self) -> None:
-        """Nothing to do."""
 
-
-class Recorded:
+class Recorded(Source):
     """Poses from a file with the columns `COLUMNS`, the last four optional, played from now on; the
     last one ages.
 
@@ -86,11 +79,8 @@ class Recorded:
     """
 
     def __init__(self, path: Path, clock: Callable[[], float] = monotonic) -> None:
-        try:
-            rows = list(csv.DictReader(path.read_text(encoding="utf-8-sig").splitlines()))
-        except (OSError, UnicodeDecodeError) as error:
-            reason = getattr(error, "strerror", None) or "not UTF-8 text"
-            raise PoseError(f"poses {path}: {reason}") from None
+        text = read_text(path, "poses", PoseError, "utf-8-sig")
+        rows = list(csv.DictReader(text.splitlines()))
         self._times: list[float] = []
         self._poses: list[Pose] = []
         for number, row in enumerate(rows, 2):
@@ -111,16 +101,12 @@ class Recorded:
         self._began = clock() - self._times[0]
 
     def latest(self) -> tuple[Pose, float]:
-        """As `Source.latest`."""
         now = self._clock() - self._began
         place = max(int(np.searchsorted(self._times, now, side="right")) - 1, 0)
         return self._poses[place], max(now - self._times[place], 0.0)
 
-    def close(self) -> None:
-        """Nothing to do."""
 
-
-class Packets:
+class Packets(Source):
     """Poses that another program sends by UDP to a port of this computer; see `PACKET`.
 
     Raises:
@@ -148,7 +134,6 @@ class Packets:
         self.where = f"udp:{self.port}"
 
     def latest(self) -> tuple[Pose, float] | None:
-        """As `Source.latest`."""
         while True:
             try:
                 data = self._socket.recv(4096)
@@ -173,7 +158,7 @@ class Packets:
         self._socket.close()
 
 
-class Tags:
+class Tags(Source):
     """Poses from the tags of ``hpac tags`` on the object and on the hand, before one camera.
 
     Args:
@@ -188,7 +173,7 @@ class Tags:
     where = "the camera"
 
     def __init__(
-        self, frames: Frames, lens: Lens, top: float, clock: Callable[[], float] = monotonic
+        self, frames: Device, lens: Lens, top: float, clock: Callable[[], float] = monotonic
     ) -> None:
         self._lens = lens
         self._top = top

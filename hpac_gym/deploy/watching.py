@@ -1,10 +1,7 @@
 """``--view``: a real or virtual hand, or a log, on the page in the browser. A hand has no joint
 sensors: it is shown where the elastic model predicts it."""
 
-from __future__ import annotations
-
 import time
-from contextlib import suppress
 from threading import Event, Thread
 from typing import Any
 
@@ -43,6 +40,7 @@ class Watch:
         self._link = link
         self._hand = hand
         self._figures: dict[str, Any] = {}
+        self._fault = ""
         self._page = HandPage(setup, ABOUT, self._stop, browser=True, supports=False, driven=True)
         self._over = Event()
         self._thread = Thread(target=self._run, daemon=True)
@@ -59,15 +57,17 @@ class Watch:
         self._page.close()
 
     def _stop(self) -> None:
-        with suppress(BridgeError):
+        try:
             self._link.estop()
+        except BridgeError as error:
+            self._fault = f"Stop NOT CONFIRMED: switch the supply off. {error}. "
 
     def _run(self) -> None:
         while not self._over.wait(1 / PICTURE_HZ):
             status = self._link.last_status
             if status is not None:
                 figures = self._figures
-                text = f"{figures.get('phase', 'before or after the episode')}; {status.state}"
+                text = f"{self._fault}{figures.get('phase', 'before or after the episode')}; {status.state}"
                 wrist = figures.get("offset", np.zeros(3))
                 pose = figures.get("pose")
                 self._page.show(predicted(status.servo, self._hand, pose, wrist, text))

@@ -204,8 +204,7 @@ def streamed_servo(servo: Array, target: Array, period: float, hand: Hand = HPAC
     """
     travel = target - servo
     duration = np.maximum.reduce(np.abs(travel) / hand.servo_rate_limit, axis=-1, keepdims=True)
-    within: Array = servo + period / np.maximum(duration, period) * travel
-    return within
+    return servo + period / np.maximum(duration, period) * travel
 
 
 def stream_command(

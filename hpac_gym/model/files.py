@@ -15,6 +15,7 @@ from hpac_gym.errors import ParameterError
 from hpac_gym.model.calibration import Calibration, Friction
 from hpac_gym.model.joints import DIGITS
 from hpac_gym.model.parameters import Digit, Hand
+from hpac_gym.output import read_text
 
 SCHEMA = 1
 """Version of the hand file that this code reads."""
@@ -44,12 +45,7 @@ def load_hand(path: str | PathLike[str]) -> Hand:
             missing, not a number, unknown or unphysical.
     """
     path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
-        raise ParameterError(f"hand file {path}: {reason}") from None
-    return hand_from_toml(text, str(path))
+    return hand_from_toml(read_text(path, "hand file", ParameterError), str(path))
 
 
 def hand_from_toml(text: str, origin: str) -> Hand:

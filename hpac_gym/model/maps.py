@@ -9,7 +9,6 @@ The inverse is tabulated per servo and direction when a model is taken up, and t
 a step."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,16 +38,6 @@ def is_calibrated(hand: Hand) -> bool:
     return hand.calibration != Calibration()
 
 
-@dataclass(frozen=True, slots=True)
-class _Tables:
-    """Tables of one calibrated hand, for both directions: flexion first."""
-
-    servo: Array
-    """Servo angle over the synergy's range, shape (2, 6, `POINTS`) [rad]."""
-    joint_pos: Array
-    """Predicted joint angles over the servo's range, shape (2, 15, `POINTS`) [rad]."""
-
-
 class CommandMap:
     """The command maps of n models.
 
@@ -60,47 +49,43 @@ class CommandMap:
         count: n.
         table: hand whose servo range bounds the commands of a calibrated model, as the board that
             drives the hand was flashed with it.
+
+    Attributes:
+        inverts_files: whether commands come from the inverse of hand files instead of Eq. (15).
     """
 
     def __init__(self, hand: Hand = HPAC, count: int = 1, table: Hand = HPAC) -> None:
         self.hands = [hand] * count
         self._board = table
-        self._known: dict[int, tuple[Hand, _Tables]] = {}
+        self._known: dict[int, tuple[Hand, Array, Array]] = {}
         """Tables by the id of the hand, which is kept beside them, so that no other gets its id."""
-        self._inverts = False
+        self.inverts_files = False
         if is_calibrated(hand):
             self.take(range(count), [hand] * count)
 
     @property
     def bounds(self) -> Hand:
         """The hand whose servo range and rate limit bound the commands."""
-        return self._board if self._inverts else self.hands[0]
-
-    @property
-    def inverts_files(self) -> bool:
-        """Whether commands come from the inverse of hand files instead of Eq. (15)."""
-        return self._inverts
+        return self._board if self.inverts_files else self.hands[0]
 
     def take(self, places: Sequence[int], hands: Sequence[Hand]) -> None:
         """Give some of the n places other models, all of them calibrated or not; those that differ
         from each other are commanded by the inverse of their files.
         """
-        if not self._inverts:
+        if not self.inverts_files:
             placed = dict(enumerate(self.hands)) | dict(zip(places, hands, strict=True))
             places = list(placed)
             hands = list(placed.values())
             self._servo = np.empty((len(self.hands), 2, len(SERVOS), POINTS))
             self._joint_pos = np.empty((len(self.hands), 2, len(JOINTS), POINTS))
-            self._inverts = True
+            self.inverts_files = True
         if len(self._known) > _KNOWN_MAX:
             self._known = {}
         for place, hand in zip(places, hands, strict=True):
             self.hands[place] = hand
             if id(hand) not in self._known:
-                self._known[id(hand)] = hand, _tables(hand, self._board)
-            _, tables = self._known[id(hand)]
-            self._servo[place] = tables.servo
-            self._joint_pos[place] = tables.joint_pos
+                self._known[id(hand)] = hand, *_tables(hand, self._board)
+            _, self._servo[place], self._joint_pos[place] = self._known[id(hand)]
 
     def servo_from_action(self, action: Array, flexing: Array) -> Array:
         """Servo angles for actions.
@@ -115,7 +100,7 @@ class CommandMap:
         Raises:
             ShapeError, WorkspaceError: As `hpac_gym.model.servo_from_action`.
         """
-        if not self._inverts:
+        if not self.inverts_files:
             return servo_from_action(_alone(action), self.hands[0]).reshape(len(action), -1)
         return self.servo_from_synergy(synergy_from_action(action, self._board), flexing)
 
@@ -123,7 +108,7 @@ class CommandMap:
         self, synergy: Array, flexing: Array, places: Sequence[int] | slice = slice(None)
     ) -> Array:
         """Servo angles for synergies within Table I at some places, shape (k, 6) [rad]."""
-        if not self._inverts:
+        if not self.inverts_files:
             return unchecked_servo_from_synergy(np.asarray(synergy, dtype=float), self.hands[0])
         board = self._board
         share = (synergy - board.synergy_min) / (board.synergy_max - board.synergy_min)
@@ -131,7 +116,7 @@ class CommandMap:
 
     def joints_from_servo(self, servo: Array, flexing: Array) -> Array:
         """Joint angles that the models predict for servo angles, shape (n, 6) → (n, 15) [rad]."""
-        if not self._inverts:
+        if not self.inverts_files:
             hand = self.hands[0]
             synergy = unchecked_synergy_from_servo(_alone(servo), hand)
             predicted = synergy.take(hand.servo_of_joint, axis=-1) * hand.elastic_ratio
@@ -147,7 +132,7 @@ class CommandMap:
             servo: commanded angles, shape (n, 6) [rad].
             predicted: `joints_from_servo` of them, shape (n, 15) [rad].
         """
-        if not self._inverts:
+        if not self.inverts_files:
             return servo
         synergy = np.clip(predicted[:, _ROOTS], self._board.synergy_min, self._board.synergy_max)
         return unchecked_servo_from_synergy(synergy, self._board)
@@ -162,10 +147,14 @@ def _alone(rows: Array) -> Array:
     return rows[0] if len(rows) == 1 else rows
 
 
-def _tables(hand: Hand, board: Hand) -> _Tables:
+def _tables(hand: Hand, board: Hand) -> tuple[Array, Array]:
+    """Tables of one calibrated hand, for both directions, flexion first: servo angle over the
+    synergy's range, shape (2, 6, `POINTS`), and predicted joint angles over the servo's range,
+    shape (2, 15, `POINTS`) [rad].
+    """
     synergy = np.linspace(board.synergy_min, board.synergy_max, POINTS)
     servo = np.linspace(board.servo_min, board.servo_max, POINTS)
-    return _Tables(
+    return (
         np.stack(
             [
                 np.clip(

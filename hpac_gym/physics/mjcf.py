@@ -5,8 +5,6 @@ model, so that any MuJoCo viewer simulates the same hand: couplings and springs 
 the five drives are actuators on tendons between two sites, which is exactly Eq. (3). A drive's ctrl
 is its servo's angle [rad], a wrist's ctrl its offset [m]."""
 
-from __future__ import annotations
-
 from xml.etree import ElementTree as Xml
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The gentle task: hold an object through lift and shake without ever crushing it."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Any, ClassVar

@@ -1,7 +1,5 @@
 """The grasp task: close on an object, lift it, keep it through a shake, and bring it down again."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
 
@@ -30,7 +28,7 @@ from hpac_gym.tasks.grasp_setups import (
     setup_of_grasp,
 )
 from hpac_gym.tasks.options import Option, config_option
-from hpac_gym.tasks.phases import PHASES, phase_at, wrist_table
+from hpac_gym.tasks.phases import PHASES, wrist_table
 from hpac_gym.tasks.privileged import PRIVILEGED_TERMS
 from hpac_gym.tasks.scripted import Script, ScriptedClosure
 from hpac_gym.tasks.task import (
@@ -169,9 +167,6 @@ class Grasp(Task):
 
     def wrist_path(self, setup: SceneSetup, times: tuple[float, ...]) -> Array:
         return wrist_table(self.timetable, times)
-
-    def phase(self, time: Array) -> NDArray[np.int_]:
-        return phase_at(time, self._ends)
 
     def judge(self, state: SceneState, dt: float) -> NDArray[np.int_]:
         """Advance the hold timers by one control step and judge the episodes.

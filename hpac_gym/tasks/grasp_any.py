@@ -251,9 +251,6 @@ class GraspAny(Task):
     def wrist_path(self, setup: SceneSetup, times: tuple[float, ...]) -> Array:
         return wrist_table(self.config.timetable, times)
 
-    def phase(self, time: Array) -> NDArray[np.int_]:
-        return phase_at(time, self._ends)
-
     def push(self, times: Array) -> Array | None:
         begin = self._ends[SHAKE]
         middle = self._ends[SIDES]

@@ -227,7 +227,11 @@ class Setups:
         )
         extents = tuple(scale * extent for extent in model.half_extents)
         spec = ObjectSpec(model.shape, extents, scale**3 * mass, friction, model, scale)
-        turn = placing.best_turn(pose.size) + np.pi * rng.integers(2)
+        # The longer horizontal side lies across the fingers, either way round.
+        turn = (0.0 if pose.size[1] >= pose.size[0] else np.pi / 2) + np.pi * rng.integers(2)
+        # Gripped from the side is what is not long, and on the table what is tall.
+        tall = entry.stand or pose.size[2] >= placing.TALL
+        beside = tall and max(pose.size[:2]) <= placing.LONG * pose.size[2]
         pull = rng.standard_normal(3)
         setup = GraspAnySetup(
             spec,
@@ -236,16 +240,10 @@ class Setups:
             hand=hand,
             object_quaternion=pose.quaternion,
             rest_height=pose.height,
-            hand_quaternion=placing.SIDE
-            if placing.from_side(entry.stand, pose.size)
-            else placing.ABOVE,
+            hand_quaternion=placing.SIDE if beside else placing.ABOVE,
             pull=pull / np.linalg.norm(pull),
         )
-        error = rng.uniform(*config.place_error, 3) * [
-            1.0,
-            1.0,
-            setup.hand_quaternion == placing.SIDE,
-        ]
+        error = rng.uniform(*config.place_error, 3) * [1.0, 1.0, beside]
         gap = rng.uniform(*config.gap)
         yaw = rng.uniform(*config.yaw_error)
         if self.hands:

@@ -1,7 +1,5 @@
 """Episodes of HPAC-Grasp before they begin: settings, and the draw of a named grasp."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, fields, replace
 
 import numpy as np

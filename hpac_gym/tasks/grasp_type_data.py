@@ -3,8 +3,6 @@ the rule by which the grasp is judged.
 
 The numbers are in ``data/grasp_types.toml``."""
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -19,7 +17,6 @@ from hpac_gym.model import (
     clip_to_workspace,
     synergy_from_joints,
 )
-from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import PARTS
 from hpac_gym.tasks.grasp_data import (
     GraspError,
@@ -45,11 +42,6 @@ class GraspType:
     start: NamedGrasp
     """Object, wrist and support; `closed` is the synergy of the posture of the same name."""
     rule: Rule
-
-
-def synergy_of_posture(name: str) -> Array:
-    """Synergy that reaches a posture's q_d by Eqs. (14) and (15), shape (6,) [rad]."""
-    return clip_synergy(synergy_from_joints(clip_to_workspace(POSTURES[name].target_joint_pos)))
 
 
 def grasp_types_from_toml(text: str) -> dict[str, GraspType]:
@@ -78,9 +70,12 @@ def grasp_types_from_toml(text: str) -> dict[str, GraspType]:
             rule = with_tuples(entry.pop("rule"))
             holes = tuple(Hole(**with_tuples(hole)) for hole in rule.pop("holes", ()))
             rules[name] = Rule(holes=holes, **rule)
-    starts = grasps_from_toml(
-        table, load_object_models(), {name: synergy_of_posture(name) for name in rules}
-    )
+    # The synergies that reach the postures' q_d by Eqs. (14) and (15).
+    closed = {
+        name: clip_synergy(synergy_from_joints(clip_to_workspace(POSTURES[name].target_joint_pos)))
+        for name in rules
+    }
+    starts = grasps_from_toml(table, load_object_models(), closed)
     return {name: GraspType(start, rules[name]) for name, start in starts.items()}
 
 

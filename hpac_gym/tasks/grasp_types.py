@@ -165,7 +165,13 @@ class GraspByType(Grasp):
                 "contact",
                 f"while closing: {weights.touch:g} · fraction of the required parts that touch the object, {weights.avoid:g} "
                 "for each forbidden part that touches it",
-                lambda now: paid_where(now.began == CLOSE, lambda: self._paid_touch(now.state)),
+                lambda now: paid_where(
+                    now.began == CLOSE,
+                    lambda: (
+                        weights.touch * self.holds.touched_share(now.state.touching)
+                        + weights.avoid * self.holds.forbidden(now.state.touching)
+                    ),
+                ),
             ),
             self._push_term(),
             RewardTerm(
@@ -180,11 +186,6 @@ class GraspByType(Grasp):
             effort_term(weights),
             outcome_term(weights),
         )
-
-    def _paid_touch(self, state: SceneState) -> Array:
-        weights = self.config.weights
-        paid = weights.touch * self.holds.touched_share(state.touching)
-        return paid + weights.avoid * self.holds.forbidden(state.touching)
 
     # Episodes
     # ------------------------------------------------------------------------------------------------------

@@ -61,7 +61,10 @@ class Timetable:
         offset[2] -= (self.lift_height - self.clearance) * moved((time - shake) / self.place_time)
         turn = 3 * (time - lift) / self.shake_time
         if 0 < turn < 3:
-            offset[int(turn)] += self.shake_distance * _swing(turn % 1)
+            share = turn % 1
+            # A windowed sine: to 1, to −1 and back to 0, starting and ending at rest.
+            swing = sin(2 * pi * share) * sin(pi * share) ** 2 / _SWING_PEAK
+            offset[int(turn)] += self.shake_distance * swing
         return tuple(offset)
 
 
@@ -160,13 +163,6 @@ def moved(share: float) -> float:
     and 1 after the move.
     """
     return minimum_jerk(min(max(share, 0.0), 1.0))
-
-
-def _swing(share: float) -> float:
-    """Windowed sine at a fraction of its duration: to 1, to −1 and back to 0, starting and ending
-    at rest.
-    """
-    return sin(2 * pi * share) * sin(pi * share) ** 2 / _SWING_PEAK
 
 
 _SWING_PEAK = 3**1.5 / 8

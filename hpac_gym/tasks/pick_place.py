@@ -2,8 +2,6 @@
 how to close and open.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Any
@@ -21,7 +19,7 @@ from hpac_gym.tasks.cameras import CameraNoise, ObjectCamera
 from hpac_gym.tasks.grasp_setups import PALM_SURFACE
 from hpac_gym.tasks.grip import lengths
 from hpac_gym.tasks.options import config_option
-from hpac_gym.tasks.phases import PickPlaceTimetable, phase_at
+from hpac_gym.tasks.phases import PickPlaceTimetable
 from hpac_gym.tasks.privileged import PRIVILEGED_TERMS
 from hpac_gym.tasks.scripted import ScriptedPickPlace
 from hpac_gym.tasks.task import (
@@ -41,7 +39,6 @@ from hpac_gym.tasks.terms import (
     GRASP_CENTRE,
     LENGTH_UNIT,
     OBJECT_TERMS,
-    Moment,
     RewardTerm,
     Term,
     progress_terms,
@@ -154,9 +151,18 @@ class PickPlace(Task):
     ) -> None:
         self.config = config = settings_from(PickPlaceConfig(), config, "config")
         self.timetable = config.timetable
-        self.duration = self.timetable.ends[-1]
-        meaning = "target position of the object, as `object_pos`"
-        target = Term("target_pos", AXES, "0.05 m", -10.0, 10.0, meaning, self._seen_target)
+        ends = self.timetable.ends
+        self._ends = (*ends[: LIFT + 1], ends[-1])  # all after the lift is "place"
+        self.duration = ends[-1]
+        target = Term(
+            "target_pos",
+            AXES,
+            "0.05 m",
+            -10.0,
+            10.0,
+            "target position of the object, as `object_pos`",
+            lambda now: (self._target - self._offset(now.state) - GRASP_CENTRE) / LENGTH_UNIT,
+        )
         self.terms = (*COMMAND_TERMS, *OBJECT_TERMS, *progress_terms(PHASES, self.duration), target)
         weights = config.weights
         self.reward_terms = (
@@ -164,7 +170,10 @@ class PickPlace(Task):
             RewardTerm(
                 "push",
                 f"while reaching and closing: {weights.push:g} · min(displacement / drop_distance, 1)",
-                lambda now: paid_where(now.began <= CLOSE, self._push),
+                lambda now: paid_where(
+                    now.began <= CLOSE,
+                    lambda: weights.push * np.minimum(self._astray / config.drop_distance, 1.0),
+                ),
             ),
             RewardTerm(
                 "carry",
@@ -180,7 +189,8 @@ class PickPlace(Task):
                 f"while placing: {weights.place:g} for an object that stands at its target, {weights.release:g} "
                 "more when the hand has released it",
                 lambda now: paid_where(
-                    (now.began == PLACE) & self._standing, lambda: self._set_down(now)
+                    (now.began == PLACE) & self._standing,
+                    lambda: weights.place + weights.release * ~now.state.touching.any(axis=1),
                 ),
             ),
             effort_term(weights),
@@ -246,21 +256,11 @@ class PickPlace(Task):
             times
         )
 
-    def phase(self, time: Array) -> NDArray[np.int_]:
-        """Index into `PHASES` of the phase that is running or begins at times [s], shape (n,); all
-        after the lift is "place".
-        """
-        ends = self.timetable.ends
-        return phase_at(time, (*ends[: LIFT + 1], ends[-1]))
-
     def _offset(self, state: SceneState) -> Array:
         """Displacement of the wrist from its start, along the axes of the hand frame, shape (n, 3)
         [m].
         """
         return np.einsum("nji,nj->ni", self._rotation, state.palm_offset)
-
-    def _seen_target(self, now: Moment) -> Array:
-        return (self._target - self._offset(now.state) - GRASP_CENTRE) / LENGTH_UNIT
 
     def judge(self, state: SceneState, dt: float) -> NDArray[np.int_]:
         """Advance by one control step and judge the episodes.
@@ -292,10 +292,3 @@ class PickPlace(Task):
 
     def script(self) -> ScriptedPickPlace:
         return ScriptedPickPlace(self.timetable)
-
-    def _push(self) -> Array:
-        return self.config.weights.push * np.minimum(self._astray / self.config.drop_distance, 1.0)
-
-    def _set_down(self, now: Moment) -> Array:
-        weights = self.config.weights
-        return weights.place + weights.release * ~now.state.touching.any(axis=1)

@@ -128,26 +128,6 @@ def extents(setup: SceneSetup) -> Array:
     return 2 * np.abs(matrix_from_quaternion(setup.object_turn[0])) @ setup.object.half_extents
 
 
-def from_side(stand: bool, size: Array) -> bool:
-    """True if an object is gripped from the side; on the table it must be tall.
-
-    Args:
-        stand: whether it stands on a post.
-        size: extents of its bounding box, shape (3,) [m].
-    """
-    return (stand or size[2] >= TALL) and max(size[:2]) <= LONG * size[2]
-
-
-def best_turn(size: Array) -> float:
-    """Rotation of an object about the vertical that puts its longer horizontal side across the
-    fingers, 0 or π/2 [rad].
-
-    Args:
-        size: extents of its bounding box before the rotation, shape (3,) [m].
-    """
-    return 0.0 if size[1] >= size[0] else np.pi / 2
-
-
 def placed(setup: SceneSetup, gap: float, stand: bool, reach: Reach = NOMINAL_REACH) -> SceneSetup:
     """The setup with the object at its nominal place relative to the palm, and with its support.
 

@@ -5,14 +5,12 @@ A task is a plain object. It holds the state of n episodes as arrays between `st
 outcomes. It depends on no engine, only on the `SceneState` that it receives. `docs/own_task.md`
 shows how to write one."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from types import MappingProxyType
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +20,7 @@ from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import PARTS, Contacts, SceneSetup, SceneState, Viewpoint
 from hpac_gym.tasks.cameras import CameraNoise, MarkerCamera, ObjectCamera
 from hpac_gym.tasks.grip import Grip
-from hpac_gym.tasks.phases import CONTROL_HZ as CONTROL_HZ
+from hpac_gym.tasks.phases import CONTROL_HZ as CONTROL_HZ, phase_at
 from hpac_gym.tasks.scripted import Script, ScriptedClosure
 from hpac_gym.tasks.terms import Moment, RewardTerm, Term
 
@@ -55,6 +53,8 @@ class Task(ABC):
     """Settings of the task, a frozen dataclass."""
     phases: tuple[str, ...] = ("move",)
     """Names of an episode's phases, in order."""
+    _ends: tuple[float, ...] = ()
+    """End time of each phase [s]; empty for a single one."""
     privileged_terms: tuple[Term, ...] = ()
     """Additional terms that only a critic may observe."""
     goal_terms: tuple[Term, ...] = ()
@@ -119,7 +119,7 @@ class Task(ABC):
         """Index into `phases` of the phase that is running or begins at times [s], shape (n,); the
         last phase stays.
         """
-        return np.zeros(len(time), dtype=int)
+        return phase_at(time, self._ends)
 
     def chosen(self, setup: SceneSetup, action: Array) -> SceneSetup:
         """The setup of an episode as changed by its first action, shape (6 + len(wrist_actions),),
@@ -169,22 +169,11 @@ def open_hand(thumb_cmc: float) -> Array:
     return synergy
 
 
-class Weights(Protocol):
-    """Weights of the reward terms that tasks with an object share."""
-
-    thumb: float
-    finger: float
-    opposed: float
-    effort: float
-    success: float
-    failure: float
-
-
 FINGER_PARTS = slice(PARTS.index(FINGERS[0]), PARTS.index(FINGERS[-1]) + 1)
 THUMB_PART = PARTS.index("thumb")
 
 
-def contact_score(weights: Weights) -> Callable[[NDArray[np.bool_]], Array]:
+def contact_score(weights: Any) -> Callable[[NDArray[np.bool_]], Array]:
     """Score of the parts that touch the object, shape (n,), as a function of
     `SceneState.touching`.
     """
@@ -212,7 +201,7 @@ def judged(failed: NDArray[np.bool_], over: NDArray[np.bool_]) -> NDArray[np.int
     return outcome
 
 
-def contact_term(weights: Weights, phase: int) -> RewardTerm:
+def contact_term(weights: Any, phase: int) -> RewardTerm:
     """Reward for touching the object in one phase."""
     score = contact_score(weights)
     meaning = (
@@ -226,7 +215,7 @@ def contact_term(weights: Weights, phase: int) -> RewardTerm:
     )
 
 
-def effort_term(weights: Weights) -> RewardTerm:
+def effort_term(weights: Any) -> RewardTerm:
     """Cost of changing the action."""
     return RewardTerm(
         "effort",
@@ -235,7 +224,7 @@ def effort_term(weights: Weights) -> RewardTerm:
     )
 
 
-def outcome_term(weights: Weights) -> RewardTerm:
+def outcome_term(weights: Any) -> RewardTerm:
     """Reward for how an episode ends."""
     by_outcome = np.array([0.0, weights.success, weights.failure])
     meaning = f"{weights.success:g} for success or {weights.failure:g} for failure, once"

@@ -15,8 +15,7 @@ import numpy as np
 from hpac_gym.bridge import HostBoard, servo_from_pulses
 from hpac_gym.calibration.record import JOINT_COLUMNS
 from hpac_gym.command import say
-from hpac_gym.deploy import arm as arms
-from hpac_gym.deploy import poses
+from hpac_gym.deploy import arm as arms, poses
 from hpac_gym.errors import ParameterError
 from hpac_gym.model.checks import Array
 from hpac_gym.output import OutputError

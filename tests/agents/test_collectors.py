@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agents import RunError, collectors, train
-from agents import runs as runs_of
+from agents import RunError, collectors, runs as runs_of, train
 from agents.learner import Learner
 from agents.recipes import RECIPES, with_settings
 from hpac_gym.evaluation.environment import versions

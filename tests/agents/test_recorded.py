@@ -5,8 +5,7 @@ import shutil
 import numpy as np
 import pytest
 
-from agents import runs as runs_of
-from agents import train
+from agents import runs as runs_of, train
 from agents.recorded import COLUMNS, Recorded
 from agents.trials import Worlds
 from hpac_gym.policies import PolicyFile, read_policy, write_policy

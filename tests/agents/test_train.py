@@ -18,8 +18,7 @@ from shutil import copytree
 import numpy as np
 import pytest
 
-from agents import RecipeError, RunError, train
-from agents import runs as runs_of
+from agents import RecipeError, RunError, runs as runs_of, train
 from agents.learner import Learner
 from agents.recipes import RECIPES, with_settings
 from agents.trials import training_task, worlds_of

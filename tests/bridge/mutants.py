@@ -8,8 +8,6 @@ interval, and every survivor. `--record FILE` lets a run that was cut short go o
 is not tried again while its module stays as it is, a survivor is. Survivors that were looked at and
 change nothing stand in `EQUIVALENT`, with the reason, and are left out of the share."""
 
-from __future__ import annotations
-
 import argparse
 import ast
 import faulthandler

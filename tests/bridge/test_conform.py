@@ -10,8 +10,7 @@ from functools import cache
 import pytest
 
 from hpac_gym.bridge import HostBoard, VirtualHand
-from hpac_gym.bridge.evidence import codec
-from hpac_gym.bridge.evidence import device as device_module
+from hpac_gym.bridge.evidence import codec, device as device_module
 from hpac_gym.bridge.evidence.codec import unseal
 from hpac_gym.bridge.evidence.conform import RULES, conform
 from hpac_gym.bridge.evidence.device import OURS, BrokenRule, Device

@@ -6,8 +6,7 @@ the firmware's tests."""
 import csv
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from hpac_gym.bridge.errors import FrameError
 from hpac_gym.bridge.frame import Frame, FrameSplitter, cobs_decode, cobs_encode, decode, encode

@@ -129,8 +129,7 @@ def test_a_watch_keeps_the_latest_result_and_says_why_there_is_none():
     picture, position, _ = scene(0)
     pictures = Pictures(picture, np.zeros_like(picture))
     source = poses.Tags(pictures, watched.TRUE, watched.TOP)
-    while not source._watch.ended:
-        time.sleep(0.01)
+    source._watch._thread.join(10)
     pose, age = source.latest()
     assert np.linalg.norm(pose.position - position) < 3e-3
     assert age >= 0
@@ -157,7 +156,7 @@ def test_a_bug_in_a_look_ends_the_watch_and_is_told():
 
     watch = Watch(Pictures(np.zeros((2, 2))), look)
     watch._thread.join(1)
-    assert watch.ended
+    assert not watch._thread.is_alive()
     assert "a bug" in watch.fault
 
 

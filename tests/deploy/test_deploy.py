@@ -22,7 +22,7 @@ from experiments import deployed
 from hpac_gym.bridge import FaultError, HandLink, HostBoard, VirtualHand, servo_from_pulses
 from hpac_gym.bridge.errors import LogWarning
 from hpac_gym.bridge.frame import Frame, encode
-from hpac_gym.deploy.arm import Nobody, arm_of
+from hpac_gym.deploy.arm import Arm, arm_of
 from hpac_gym.deploy.commands import object_of
 from hpac_gym.deploy.episode import Log, run_episode
 from hpac_gym.deploy.errors import DeployError, PoseError
@@ -178,7 +178,7 @@ def test_a_hand_is_armed_once_there_is_a_pose_and_what_is_waited_for_is_told(mon
     with HandLink(hand.connect) as link:
         monkeypatch.setattr(link, "arm", lambda **_: pytest.fail("armed"))
         with pytest.raises(PoseError, match=f"within 5 s at udp:{packets.port}"):
-            run_episode(link, Observer(GRASP, CAN), Failing(None), packets, Nobody(), Log(None))
+            run_episode(link, Observer(GRASP, CAN), Failing(None), packets, Arm(), Log(None))
     said = f"waiting for poses at udp:{packets.port}\n"
     assert capsys.readouterr().err == said
     with pytest.raises(DeployError, match=r"arm at 127\.0\.0\.1:9 did not say that it is ready"):
@@ -409,7 +409,7 @@ def test_the_hand_opens_and_is_disarmed_before_an_error_is_told(fault, source, l
     with HandLink(hand.connect) as link:
         with pytest.raises(error, match=says):
             run_episode(
-                link, observer, Failing(fault), source(PLACE), Nobody(), log(None), seconds=0.1
+                link, observer, Failing(fault), source(PLACE), Arm(), log(None), seconds=0.1
             )
         assert link.state == "idle"
     assert not hand.pulses().any()
@@ -423,7 +423,7 @@ def test_without_opening_the_hand_would_have_stayed_closed():
     closed = []
     with HandLink(hand.connect) as link:
         policy = Failing(lambda: closed.append(hand.last.copy()) or np.zeros(6))
-        run_episode(link, observer, policy, Fixed(PLACE), Nobody(), Log(None), seconds=0.1)
+        run_episode(link, observer, policy, Fixed(PLACE), Arm(), Log(None), seconds=0.1)
     assert closed[0].max() > 0.3
 
 
@@ -437,9 +437,7 @@ def test_an_estop_from_elsewhere_ends_the_episode_and_stays():
             return np.zeros(6)
 
         with pytest.raises(FaultError, match="estop"):
-            run_episode(
-                link, observer, Failing(estop), Fixed(PLACE), Nobody(), Log(None), seconds=0.1
-            )
+            run_episode(link, observer, Failing(estop), Fixed(PLACE), Arm(), Log(None), seconds=0.1)
     assert not hand.pulses().any()
     with HandLink(hand.connect) as another:  # the end of the program that was stopped leaves it
         assert another.status().fault == "estop"

@@ -3,8 +3,6 @@
 The other tests of the gate use only actions, observations, rewards and infos.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache

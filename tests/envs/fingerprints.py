@@ -20,8 +20,6 @@ case therefore compares only what cannot grow:
 No seed is chosen: a case takes the first ones.
 """
 
-from __future__ import annotations
-
 import argparse
 import hashlib
 import json

@@ -5,8 +5,6 @@ The hand swings smoothly and the wrist follows its targets. Contacts and the obj
 follow each story: the object is held and slips slowly, is released, is knocked away, is put down.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 

@@ -16,8 +16,7 @@ import numpy as np
 import pytest
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
 from gymnasium.wrappers import ClipAction, FlattenObservation
-from gymnasium.wrappers.vector import ClipAction as VectorClip
-from gymnasium.wrappers.vector import FlattenObservation as VectorFlatten
+from gymnasium.wrappers.vector import ClipAction as VectorClip, FlattenObservation as VectorFlatten
 
 from hpac_gym.envs import Grasp, GraspByName, HandVectorEnv, PickPlace, Posture
 from hpac_gym.envs.episodes import open_episodes

@@ -17,8 +17,7 @@ from hpac_gym.envs import GraspAny
 from hpac_gym.envs.episodes import Episodes
 from hpac_gym.envs.options import checked_options
 from hpac_gym.errors import EnvError
-from hpac_gym.evaluation import benchmark, splits
-from hpac_gym.evaluation import results as results_file
+from hpac_gym.evaluation import benchmark, results as results_file, splits
 from hpac_gym.evaluation.evaluate import evaluate
 from hpac_gym.evaluation.results import comparison, faults, table
 from hpac_gym.evaluation.splits import ResultsError, env_hash, splits_of

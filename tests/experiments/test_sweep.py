@@ -12,8 +12,7 @@ from experiments import sweep as command
 from experiments.bench import JointCamera, Protocol
 from experiments.reference import PRINTED, Reference, met
 from experiments.rig import Rig
-from hpac_gym.calibration import processing
-from hpac_gym.calibration import sweep as of_record
+from hpac_gym.calibration import processing, sweep as of_record
 from hpac_gym.calibration.accuracy import (
     EVALUATED,
     FIGURE,

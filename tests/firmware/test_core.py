@@ -3,8 +3,7 @@ process.
 """
 
 import numpy as np
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
 from hpac_gym.bridge.frame import Frame, FrameSplitter, encode

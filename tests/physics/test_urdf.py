@@ -1,13 +1,13 @@
 """The hand's URDF against its geometry, Table I and the loaded body."""
 
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pybullet
 import pytest
 
 from hpac_gym.body.geometry import Capsule, link_poses, load_geometry
-from hpac_gym.body.object_urdf import AssetError, asset_path
 from hpac_gym.body.urdf import (
     HAND_ON_WRIST_URDF,
     HAND_URDF,
@@ -17,6 +17,7 @@ from hpac_gym.body.urdf import (
 )
 from hpac_gym.model import FINGERS, HPAC, JOINTS, joints_from_synergy
 
+ROOT = Path(__file__).resolve().parents[2]
 GEOMETRY = load_geometry()
 URDFS = (HAND_URDF, HAND_ON_WRIST_URDF)
 
@@ -27,7 +28,7 @@ class Loaded:
     def __init__(self, name: str) -> None:
         self.client = pybullet.connect(pybullet.DIRECT)
         self.body = pybullet.loadURDF(
-            str(asset_path(name)),
+            str(ROOT / "assets" / "urdf" / name),
             useFixedBase=True,
             flags=pybullet.URDF_USE_INERTIA_FROM_FILE,
             physicsClientId=self.client,
@@ -178,11 +179,6 @@ def test_a_fist_closes_in_front_of_the_palm(hand):
         assert tip[0] > 0, "flexion goes out of the palm"
         assert tip[2] < base[2], "and folds back"
         assert hand.distance(f"{finger}_dip_link", "palm") > 0
-
-
-def test_missing_asset_is_a_named_error():
-    with pytest.raises(AssetError, match=r"no_such\.urdf"):
-        asset_path("no_such.urdf")
 
 
 def _frame(hand: Loaded, link: str) -> tuple[np.ndarray, np.ndarray]:

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from hpac_gym.body.geometry import HPAC_GEOMETRY as GEOMETRY
-from hpac_gym.body.geometry import link_poses
+from hpac_gym.body.geometry import HPAC_GEOMETRY as GEOMETRY, link_poses
 from hpac_gym.body.hands import hand_set
 from hpac_gym.body.object_models import load_object_models
 from hpac_gym.body.object_sets import object_set

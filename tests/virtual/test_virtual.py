@@ -15,8 +15,7 @@ import numpy as np
 import pytest
 
 import hpac
-from hpac_gym.bridge import HandLink, HostBoard, VirtualHand, pulses_from_servo
-from hpac_gym.bridge import stop as bridge_stop
+from hpac_gym.bridge import HandLink, HostBoard, VirtualHand, pulses_from_servo, stop as bridge_stop
 from hpac_gym.deploy.commands import object_of
 from hpac_gym.deploy.episode import Log, run_episode
 from hpac_gym.deploy.observer import Observer
@@ -25,8 +24,7 @@ from hpac_gym.model import ServoCommand
 from hpac_gym.policies.loading import load_policy
 from hpac_gym.registration import GRASP, GRASP_ANY
 from hpac_gym.tasks.task import RUNNING, SUCCESS
-from hpac_gym.virtual.body import LATCH_US, LATE, Body, LockStep
-from hpac_gym.virtual.body import Path as WristPath
+from hpac_gym.virtual.body import LATCH_US, LATE, Body, LockStep, Path as WristPath
 from hpac_gym.virtual.commands import _estop
 from hpac_gym.virtual.hand import Virtual
 from hpac_gym.virtual.scene import CAN, scene

@@ -2,8 +2,6 @@
 steps.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from dataclasses import fields

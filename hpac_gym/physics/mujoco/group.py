@@ -1,7 +1,5 @@
 """Worlds of one layout: a `mujoco.batch.Batch` that is started, stepped and read."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import cached_property
 

@@ -2,8 +2,6 @@
 written from their setups.
 """
 
-from __future__ import annotations
-
 import math
 from functools import cache, lru_cache
 from typing import Any
