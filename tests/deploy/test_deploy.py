@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 import hpac
 from experiments import deployed
 from hpac_gym.bridge import FaultError, HandLink, HostBoard, VirtualHand, servo_from_pulses
-from hpac_gym.bridge.errors import LogWarning
+from hpac_gym.bridge.errors import LinkTimeout, LogWarning
 from hpac_gym.bridge.frame import Frame, encode
 from hpac_gym.deploy.arm import Arm, arm_of
 from hpac_gym.deploy.commands import object_of
@@ -29,12 +29,16 @@ from hpac_gym.deploy.errors import DeployError, PoseError
 from hpac_gym.deploy.observer import TASKS, UPRIGHT, Observer, Pose
 from hpac_gym.deploy.poses import Fixed, Packets, Recorded, averaged, pose_of, source_of
 from hpac_gym.deploy.replay import Course, figure_of
+from hpac_gym.deploy.watching import Watch
 from hpac_gym.figures import save
+from hpac_gym.model import HPAC
 from hpac_gym.output import OutputError
 from hpac_gym.policies.loading import load_policy
 from hpac_gym.registration import GRASP, GRASP_ANY, GRASP_TYPE, POSTURE
 from hpac_gym.tasks.cameras import CameraNoise
+from hpac_gym.view.page import HandPage
 from tests.options import refused
+from tests.processes import wait_for
 
 CAN = object_of("cylinder:0.02,0.05")
 PLACE = Pose(np.array([0.05, 0.005, 0.11]))
@@ -246,6 +250,8 @@ def test_an_episode_leaves_a_log_and_a_hand_without_pulses(tmp_path, capsys):
     status, said = told(capsys, *WORDS, "--port", "virtual", "--log", str(log))
     assert status == 0, said.err
     assert "64 commands, 64 acknowledged, 0 late, 0 lost, 0 refused" in said.out
+    begun = [line.strip() for line in said.err.splitlines() if line.strip()]
+    assert begun == ["to the start posture", "holds for 2 s", "opens"]
     head, *steps, end = map(json.loads, log.read_text().splitlines())
     assert (head["hpac_deploy"], head["env_id"], end["end"]) == (1, GRASP, "done")
     assert len(steps) == 64
@@ -253,6 +259,26 @@ def test_an_episode_leaves_a_log_and_a_hand_without_pulses(tmp_path, capsys):
     np.testing.assert_allclose(steps[10]["hand"], steps[8]["sent"], atol=1e-4)
     assert np.abs(np.diff([step["sent"] for step in steps], axis=0)).max() <= 0.1
     assert (tmp_path / "log.wire.jsonl").exists()
+
+
+def test_the_page_of_a_deployment_tells_of_a_stop_that_nobody_confirmed(monkeypatch):
+    texts = [""]
+    monkeypatch.setattr("webbrowser.open", lambda url: True)
+    monkeypatch.setattr(HandPage, "show", lambda page, shown: texts.append(shown.text))
+
+    def fails(link: HandLink) -> None:
+        raise LinkTimeout("no answer to estop")
+
+    with HandLink(VirtualHand().connect) as link:
+        link.status()
+        watch = Watch(link, Observer(GRASP, CAN).setup, HPAC)
+        monkeypatch.setattr(HandLink, "estop", fails)
+        watch._stop()
+        wait_for(
+            lambda: texts[-1].startswith("Stop NOT CONFIRMED: switch the supply off. no answer")
+        )
+        watch.close()
+        monkeypatch.undo()
 
 
 @pytest.mark.parametrize(
