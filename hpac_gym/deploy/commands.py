@@ -150,7 +150,7 @@ def run(options: argparse.Namespace) -> int:
             seconds=options.average,
             oldest=options.oldest,
             live=lambda figures: [show(figures) for show in live],
-            note=lambda text: print(f"\r{text:<90}", file=sys.stderr, flush=True),
+            note=_note,
         )
     names = ("acknowledged", "late", "lost", "refused")
     told = {name: getattr(counts, name) for name in names}
@@ -203,6 +203,11 @@ def _dry_run(options: argparse.Namespace, observer: Observer, policy: Any, sourc
         told = ", ".join(f"{name} {value:+.2f}" for name, value in placed.items())
         print(f"the policy places the wrist: {told}")
     print("dry run: nothing was sent")
+
+
+def _note(text: str) -> None:
+    """A line of its own, over the one of the steps."""
+    print(f"\r{text:<90}" if sys.stderr.isatty() else text, file=sys.stderr, flush=True)
 
 
 def _live(now: dict[str, Any]) -> None:
