@@ -22,15 +22,6 @@ SCALES = ("mean", "scale", "mean_end_state", "scale_end_state")
 SMALLEST_SCALE = 0.05
 
 
-def dropped_out(values: Tensor, rate: float) -> Tensor:
-    """Dropout as `torch.nn.functional.dropout`, in a third of its time on a processor: one random
-    number of 64 bits decides on four values.
-    """
-    draws = torch.empty(-(-values.numel() // 4), dtype=torch.int64).random_(-(2**63), None)
-    kept = draws.view(torch.int16)[: values.numel()] >= round(rate * 2**16) - 2**15
-    return values * (kept.view(values.shape) / (1 - rate))
-
-
 class Critics(nn.Module):
     """`count` networks with layers of `sizes`, including input and output, evaluated as batched
     matrix products.
@@ -56,9 +47,9 @@ class Critics(nn.Module):
         if values.dim() == 2:
             values = values.expand(len(self.weights[0]), -1, -1)
         for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
-            values = functional.silu(torch.baddbmm(bias, values, weight))
-            if fitting and self._dropout:
-                values = dropped_out(values, self._dropout)
+            values = functional.dropout(
+                functional.silu(torch.baddbmm(bias, values, weight)), self._dropout, fitting
+            )
         return torch.baddbmm(self.biases[-1], values, self.weights[-1])
 
 
