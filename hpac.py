@@ -166,10 +166,10 @@ class _CommandParser(Parser):
     """The parser of one command, which refuses words that it does not know by its own name."""
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
-        found, unknown = super().parse_known_args(args, namespace)
+        known, unknown = super().parse_known_args(args, namespace)
         if unknown:
             self.error(f"unrecognized arguments: {' '.join(unknown)}")
-        return found, unknown
+        return known, unknown
 
 
 def main(argv: Sequence[str] | None = None) -> int:

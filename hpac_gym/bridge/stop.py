@@ -48,6 +48,10 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
+UNCONFIRMED = "Stop NOT CONFIRMED: switch the supply off. {}. "
+"""What a page tells of a stop that raised an error."""
+
+
 def _tell(as_json: bool, said: str) -> None:
     """Tell that the hand is stopped: on standard error where standard output is closed or full."""
     if sys.stdout is not None:

@@ -31,7 +31,15 @@ COLUMNS = ("time_s", "x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 
 
 class Source:
-    """Where poses come from."""
+    """Where poses come from.
+
+    Attributes:
+        where: its name in messages.
+        fault: why the last one was none; empty if nobody knows.
+    """
+
+    where = "its source"
+    fault = ""
 
     def latest(self) -> tuple[Pose, float] | None:
         """The latest pose and its age [s]; None before the first. Never waits."""
@@ -121,7 +129,6 @@ class Packets(Source):
         self._clock = clock
         self._latest: tuple[Pose, float] | None = None
         self.refused = 0
-        self.fault = ""
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         try:
@@ -228,15 +235,13 @@ def first(
     clock: Callable[[], float] = monotonic,
 ) -> Pose:
     """The latest pose, as soon as there is one; arguments and error as of `averaged`."""
-    where = getattr(source, "where", "its source")
-    late = Late(f"waiting for poses at {where}")
+    late = Late(f"waiting for poses at {source.where}")
     begun = clock()
     while (latest := source.latest()) is None:
         if clock() - begun > patience:
-            fault = getattr(source, "fault", "")
             raise PoseError(
-                f"no pose of the object within {patience:g} s at {where}"
-                + (f": {fault}" if fault else "")
+                f"no pose of the object within {patience:g} s at {source.where}"
+                + (f": {source.fault}" if source.fault else "")
             )
         late()
         pause(0.02)

@@ -19,6 +19,7 @@ from hpac_gym.evaluation.environment import make_env
 from hpac_gym.figures import new_figure, require, save
 from hpac_gym.model import SERVOS
 from hpac_gym.model.checks import Array
+from hpac_gym.output import read_text
 
 APART_M = 0.01
 """Distance from which on the object is told to be elsewhere than simulated [m]."""
@@ -99,11 +100,7 @@ def read_log(path: Path) -> tuple[dict[str, Any], list[dict[str, Any]], str]:
     Raises:
         DeployError: It cannot be read, or is no log of a deployment.
     """
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "not UTF-8 text"
-        raise DeployError(f"log {path}: {reason}") from None
+    lines = read_text(path, "log", DeployError).splitlines()
     rows = []
     for number, line in enumerate(lines, 1):
         try:

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from hpac_gym.bridge import BridgeError, HandLink
+from hpac_gym.bridge.stop import UNCONFIRMED
 from hpac_gym.deploy.observer import Pose
 from hpac_gym.model import HPAC, Hand, elastic_joints_from_servo
 from hpac_gym.model.checks import Array
@@ -60,7 +61,7 @@ class Watch:
         try:
             self._link.estop()
         except BridgeError as error:
-            self._fault = f"Stop NOT CONFIRMED: switch the supply off. {error}. "
+            self._fault = UNCONFIRMED.format(error)
 
     def _run(self) -> None:
         while not self._over.wait(1 / PICTURE_HZ):

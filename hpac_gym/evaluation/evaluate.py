@@ -287,15 +287,15 @@ def run(args: argparse.Namespace) -> int:
         "options": needed_options(args.policy[0]) | env_options(args, env_id),
         "normalize": args.normalize,
     }
-    found = evaluate(names, env_id, args.episodes, **how)
-    summary = found.summary()
+    judged = evaluate(names, env_id, args.episodes, **how)
+    summary = judged.summary()
     told = [{"file": name, **origin} for name in files if (origin := about(name, args.normalize))]
     if len(told) == 1:
         summary["policy"] = told[0]
     elif told:
         summary["files"] = told
     text = json.dumps(summary, indent=2)
-    named = replace(found, episodes=dict(zip(names, found.episodes.values(), strict=True)))
+    named = replace(judged, episodes=dict(zip(names, judged.episodes.values(), strict=True)))
     print(text if args.json else table(named.summary()), flush=True)
     if args.out:
         write_text(args.out, text + "\n")

@@ -108,12 +108,12 @@ def _hand_from_table(table: dict[str, Any]) -> Hand:
         if "calibration" in table
         else Calibration(),
     )
-    found = [("", "rate_limit", hand.rate_limit)]
-    found += [("", "servo angle", angle) for angle in (*-hand.servo_min, *hand.servo_max)]
+    numbers = [("", "rate_limit", hand.rate_limit)]
+    numbers += [("", "servo angle", angle) for angle in (*-hand.servo_min, *hand.servo_max)]
     for digit in hand.digits.values():
         lengths = (digit.d1, digit.d2, digit.servo_radius, *digit.joint_radius, *digit.path_length)
-        found += [(f"digit {digit.name}: ", "length", length) for length in lengths]
-    for owner, name, value in found:
+        numbers += [(f"digit {digit.name}: ", "length", length) for length in lengths]
+    for owner, name, value in numbers:
         most, unit = _MOST[name]
         if value > most:
             allowed = f"allowed at most {most:.6g} {unit}"

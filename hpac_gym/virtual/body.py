@@ -14,7 +14,9 @@ from scipy.spatial.transform import Rotation
 
 from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.bridge import VirtualHand, servo_from_pulses
+from hpac_gym.deploy.arm import Arm
 from hpac_gym.deploy.observer import Pose
+from hpac_gym.deploy.poses import Source
 from hpac_gym.envs import HandEnv
 from hpac_gym.model import DIGITS, synergy_from_servo
 from hpac_gym.model.checks import Array
@@ -193,7 +195,7 @@ class Body:
         return Pose(place, tuple(seen.as_quat().tolist()))
 
 
-class LockStep:
+class LockStep(Source, Arm):
     """A body in virtual time, with the firmware that drives it: source of poses and arm of an
     episode. Nothing moves before the arm is ready, nor after the outcome.
 
@@ -244,6 +246,3 @@ class LockStep:
         if self.hand.quiet_until_us < NEVER:
             self.body.follow(self.hand.now_us, self.hand.pulses())
         return self.body.seen(self.body.state()), 0.0
-
-    def close(self) -> None:
-        """Nothing to do."""

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from hpac_gym.bridge import BridgeError, HostBoard, open_transport
-from hpac_gym.bridge.stop import stop
+from hpac_gym.bridge.stop import UNCONFIRMED, stop
 from hpac_gym.command import add_json, say, seconds, whole_number
 from hpac_gym.errors import ParameterError
 from hpac_gym.physics.engine import SceneSetup
@@ -124,7 +124,7 @@ def _estop(hand: Virtual, port: str) -> None:
             stop(transport)
         hand.stopped = f"Stopped: fault estop until `hpac clear --port {hand.port}`. "
     except BridgeError as error:
-        hand.stopped = f"Stop NOT CONFIRMED: switch the supply off. {error}. "
+        hand.stopped = UNCONFIRMED.format(error)
 
 
 def _greeting(options: argparse.Namespace, hand: Virtual, setup: SceneSetup) -> str:

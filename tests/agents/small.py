@@ -11,10 +11,16 @@ SETTINGS = {
     "random_episodes": "8",
     "checkpoint_every": "8",
 }
-SMALL = [
-    word for name, value in SETTINGS.items() for word in (f"--{name.replace('_', '-')}", value)
-]
-"""The settings as words of the command."""
+
+
+def words_of(settings: dict[str, str]) -> list[str]:
+    """Settings as words of the command."""
+    return [
+        word for name, value in settings.items() for word in (f"--{name.replace('_', '-')}", value)
+    ]
+
+
+SMALL = words_of(SETTINGS)
 
 
 def train_here(*words, make=None) -> None:

@@ -15,6 +15,7 @@ from agents import RunError, collectors, runs as runs_of, train
 from agents.learner import Learner
 from agents.recipes import RECIPES, with_settings
 from hpac_gym.evaluation.environment import versions
+from tests.agents.small import words_of
 
 SETTINGS = {
     "num_envs": "2",
@@ -23,9 +24,7 @@ SETTINGS = {
     "random_episodes": "4",
     "checkpoint_every": "30",
 }
-SMALL = [
-    word for name, value in SETTINGS.items() for word in (f"--{name.replace('_', '-')}", value)
-]
+SMALL = words_of(SETTINGS)
 
 
 def test_a_collector_decides_with_what_the_learner_knows():

@@ -476,11 +476,9 @@ def test_ctrl_c_opens_a_hand_in_real_time(tmp_path):
             [sys.executable, "-m", "hpac", "deploy", *words], stderr=subprocess.PIPE, text=True
         )
         try:
-            deadline = time.monotonic() + 30
-            while time.monotonic() < deadline and not (
-                board.pulses().all() and servo_from_pulses(board.pulses())[1] > 0.3
-            ):
-                time.sleep(0.02)
+            wait_for(
+                lambda: (pulses := board.pulses()).all() and servo_from_pulses(pulses)[1] > 0.3, 30
+            )
             os.kill(running.pid, signal.SIGINT)
             _, said = running.communicate(timeout=30)
         finally:
