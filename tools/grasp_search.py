@@ -126,8 +126,8 @@ def write(grasp_type: GraspType) -> None:
         digit: [joints[JOINT_INDEX[f"{digit}_{part}"]] for part in names]
         for digit, names in parts.items()
     }
-    _replace(POSTURES_FILE, name, targets)
-    _replace(
+    replace_values(POSTURES_FILE, name, targets)
+    replace_values(
         TYPES_FILE,
         name,
         {
@@ -138,7 +138,7 @@ def write(grasp_type: GraspType) -> None:
     )
 
 
-def _replace(path: Path, table: str, values: dict[str, list[float]]) -> None:
+def replace_values(path: Path, table: str, values: dict[str, list[float]]) -> None:
     before, head, rest = path.read_text(encoding="utf-8").partition(f"[{table}]\n")
     body, *after = re.split(r"(?m)^(?=\[)", rest, maxsplit=1)
     for key, value in values.items():

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from hpac_gym.envs import GRASPS, HandEnv
+from hpac_gym.evaluation.evaluate import run_block
 from hpac_gym.physics.engine import PARTS
 from tests.envs.episodes import run, steps
 
@@ -32,7 +33,7 @@ HOLDING = {
     "screwdriver": {"middle", "ring", "pinky", "palm"},
     "tape_roll": {"thumb", "index", "middle"},
     "tweezers": {"thumb", "index", "middle"},
-    "press": {"thumb", "middle", "ring", "pinky", "palm"},
+    "press": {"thumb", "pinky", "palm"},
 }
 """What the texts of the grasps say that holds the object."""
 
@@ -100,7 +101,7 @@ def held_by(env, seed: int) -> tuple[set[str], float]:
     )
 
 
-@pytest.mark.pybullet  # the closures were found in PyBullet
+@pytest.mark.pybullet  # most closures were found in PyBullet
 @pytest.mark.parametrize(
     "name", [*NAMES[::2], *(pytest.param(name, marks=pytest.mark.slow) for name in NAMES[1::2])]
 )
@@ -115,7 +116,7 @@ def test_what_the_text_names_holds_the_object_and_crushes_nothing(name: str):
     assert sum(force < 80 for _, force in seen) >= 2
 
 
-@pytest.mark.pybullet  # the closures were found in PyBullet
+@pytest.mark.pybullet  # most closures were found in PyBullet
 @pytest.mark.parametrize(
     ("name", "seeds", "least"),
     [
@@ -130,6 +131,12 @@ def test_scripted_closure_beats_random_actions(name: str, seeds: range, least: i
         wild = sum(succeeds(env, seed, Wild(seed)) for seed in seeds)
     assert scripted >= least
     assert scripted > wild + 2
+
+
+@pytest.mark.parametrize("name", ["press", "scissors", "tape_roll"])
+def test_closures_searched_in_both_engines_hold_in_mujoco(name: str):
+    episodes = run_block(["scripted"], ID, {"grasp": name}, range(200, 220))
+    assert sum(episode.success for (episode,) in episodes) >= 18
 
 
 @pytest.mark.slow
