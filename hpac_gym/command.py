@@ -7,6 +7,7 @@ import argparse
 import errno
 import json
 import os
+import select
 import sys
 import warnings
 from collections.abc import Callable
@@ -67,6 +68,8 @@ def run(command: Callable[[], int], unheard: bool = False) -> int:
     a bug and keeps its traceback.
     """
     warnings.formatwarning = lambda message, *_: f"warning: {message}\n"
+    if sys.stderr is None:  # or prints to it go to standard output
+        sys.stderr = open(os.devnull, "w")  # noqa: SIM115 - for as long as the program runs
     if sys.stdout is None and not unheard:
         return complain("cannot write to standard output: it is closed")
     try:
@@ -75,8 +78,13 @@ def run(command: Callable[[], int], unheard: bool = False) -> int:
         finally:
             if sys.stdout is not None:
                 sys.stdout.flush()
-    except BrokenPipeError:  # the reader of the output has closed it
-        drop_output()
+    except BrokenPipeError:
+        if hasattr(select, "poll"):  # not on Windows
+            output = select.poll()
+            output.register(sys.stdout, 0)  # its errors alone
+            if not output.poll(0):
+                raise
+        drop_output()  # the reader of the output has closed it
         return 0
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)

@@ -6,6 +6,7 @@ import json
 import socket
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 from hpac_gym.deploy.errors import DeployError
@@ -40,9 +41,12 @@ class Person(Arm):
     _phase = ""
 
     def ready(self, wait: Callable[[float], None], told: dict[str, Any]) -> None:
-        """Wait for Enter."""
+        """Wait for Enter; one that was typed before the question is none."""
         import select
+        import termios
 
+        if sys.stdin.isatty():
+            termios.tcflush(sys.stdin, termios.TCIFLUSH)
         for name, value in told.get("wrist", {}).items():
             print(f"arm: the policy places {name} {value:+.2f}", file=sys.stderr)
         print(
@@ -57,7 +61,8 @@ class Person(Arm):
         """Print a phase that begins."""
         if told["phase"] != self._phase:
             self._phase = told["phase"]
-            print(f"\narm: {self._phase}", file=sys.stderr, flush=True)
+            with suppress(OSError):
+                print(f"\narm: {self._phase}", file=sys.stderr, flush=True)
 
 
 class Remote(Arm):
@@ -93,7 +98,7 @@ class Remote(Arm):
                 answer = json.loads(self._socket.recv(4096))
                 if answer[PACKET] == VERSION and answer["ready"] is True:
                     return
-            except (OSError, ValueError, KeyError, TypeError):
+            except (OSError, ValueError, KeyError, TypeError, RecursionError):
                 continue
         raise DeployError(f"{self._where} did not say that it is ready within {self._patience:g} s")
 
@@ -113,8 +118,10 @@ def arm_of(text: str) -> Arm:
     """The arm of an ``--arm``: ``none``, ``enter``, or ``udp:HOST:PORT``.
 
     Raises:
-        DeployError: It is none of them.
+        DeployError: It is none of them, or nobody can press Enter.
     """
+    if text == "enter" and sys.stdin is None:
+        raise DeployError("--arm enter, and standard input is closed")
     if text in ("none", "enter"):
         return {"none": Arm, "enter": Person}[text]()
     kind, _, address = text.partition(":")

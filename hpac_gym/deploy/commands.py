@@ -7,7 +7,7 @@ import argparse
 import hashlib
 import sys
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
@@ -169,6 +169,7 @@ def _head(options: argparse.Namespace, observer: Observer) -> dict[str, Any]:
         "policy_sha256": hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else None,
         "env_id": observer.spec.id,
         "grasp": options.grasp,
+        "options": needed_options(options.policy),
         "object": options.object,
         "hand": observer.model.name,
         "port": options.port,
@@ -207,7 +208,8 @@ def _dry_run(options: argparse.Namespace, observer: Observer, policy: Any, sourc
 
 def _note(text: str) -> None:
     """A line of its own, over the one of the steps."""
-    print(f"\r{text:<90}" if sys.stderr.isatty() else text, file=sys.stderr, flush=True)
+    with suppress(OSError):
+        print(f"\r{text:<90}" if sys.stderr.isatty() else text, file=sys.stderr, flush=True)
 
 
 def _live(now: dict[str, Any]) -> None:
@@ -217,4 +219,5 @@ def _live(now: dict[str, Any]) -> None:
         f"{now['t']:5.2f} s  {now['phase']:<8} heat {now['heat']:4.0%}  late {counts.late}  "
         f"lost {counts.lost}  refused {counts.refused}  worst delay {1e3 * counts.worst_delay:.1f} ms"
     )
-    print(f"\r{text:<90}", end="", file=sys.stderr, flush=True)
+    with suppress(OSError):
+        print(f"\r{text:<90}", end="", file=sys.stderr, flush=True)

@@ -18,7 +18,7 @@ from hpac_gym.bridge.gentle import go, open_hand, release
 from hpac_gym.deploy.arm import Arm
 from hpac_gym.deploy.errors import DeployError, PoseError
 from hpac_gym.deploy.observer import Observer, Pose
-from hpac_gym.deploy.poses import Source, averaged, first
+from hpac_gym.deploy.poses import Source, averaged
 from hpac_gym.model import SERVOS
 from hpac_gym.model.checks import Array
 from hpac_gym.output import OutputError
@@ -40,7 +40,7 @@ Live = Callable[[dict[str, Any]], None]
 class Log:
     """One JSON object a line, in the file as soon as it is written: complete after ``kill -9``.
 
-    A log of that name is kept with its wire log under the next free number; who still writes to it
+    A log of that name, or its wire log, is kept under the next free number; who still writes to it
     goes on there.
 
     Raises:
@@ -53,7 +53,7 @@ class Log:
         if path is not None:
             try:
                 path.parent.mkdir(parents=True, exist_ok=True)
-                if path.is_file():
+                if path.is_file() or wire_log(path).is_file():
                     _keep(path)
                 self._file = path.open("a", encoding="utf-8", buffering=1)
             except OSError as error:
@@ -100,7 +100,7 @@ def _keep(path: Path) -> None:
 
 def wire_log(path: Path) -> Path:
     """Where the frames of the wire stand that belong to a log."""
-    return path.with_suffix(".wire.jsonl")
+    return path.parent / f"{path.name.removesuffix('.jsonl')}.wire.jsonl"
 
 
 def run_episode(
@@ -142,34 +142,37 @@ def run_episode(
         KeyboardInterrupt: Ctrl-C, after the hand has opened.
     """
     clock = link.exchange.transport.now
-    observer.expects(first(source, patience, link.sleep, clock))
-    link.arm(watchdog=WATCHDOG)
     counts = StreamCounts()
     try:
         pose = averaged(source, seconds, oldest, patience, link.sleep, clock)
+        observer.expects(pose)
         observer.start()
-        memory: Any = None
+        observation = observer.see(pose)
+        # It may take longer than the watchdog of an armed hand waits.
+        given, memory = ask(policy, observation, None, np.array([True]))
+        action = checked(given, observer)
+        link.arm(watchdog=WATCHDOG)
         note("to the start posture")
         go(link, np.asarray(observer.servo))
         stream = link.stream(1 / CONTROL_HZ)
         counts = stream.counts
         told: dict[str, Any] = {"phase": "ready", "time": 0.0, "offset": [0.0, 0.0, 0.0]}
-        if observer.task.wrist_actions:  # decided by the first look
-            given, _ = ask(policy, observer.see(pose), None, np.array([True]))
-            told["wrist"] = wrist(checked(given, observer), observer)
+        if observer.task.wrist_actions:
+            told["wrist"] = wrist(action, observer)
         arm.ready(link.sleep, told)
         stream.begin()
         begun = clock()
         closing = observer.phase()
         for step in range(observer.steps):
             stream.wait()
-            if step:
-                pose = _pose_now(source, pose, oldest, observer.phase() == closing)
             phase = observer.phase()
+            latest = _pose_now(source, pose, oldest, phase == closing)
             arm.tell(_told(observer, phase))
-            observation = observer.see(pose)
-            given, memory = ask(policy, observation, memory, np.array([step == 0]))
-            action = checked(given, observer)
+            if step:  # the first is decided
+                pose = latest
+                observation = observer.see(pose)
+                given, memory = ask(policy, observation, memory, np.array([False]))
+                action = checked(given, observer)
             target = observer.command(action)
             servo = stream.send(target)
             observer.sent(servo)

@@ -7,6 +7,7 @@ import json
 import socket
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from threading import Thread
 from time import monotonic, sleep
 
 import numpy as np
@@ -88,7 +89,10 @@ class Recorded(Source):
 
     def __init__(self, path: Path, clock: Callable[[], float] = monotonic) -> None:
         text = read_text(path, "poses", PoseError, "utf-8-sig")
-        rows = list(csv.DictReader(text.splitlines()))
+        try:
+            rows = list(csv.DictReader(text.splitlines()))
+        except csv.Error as error:
+            raise PoseError(f"poses {path}: {error}") from None
         self._times: list[float] = []
         self._poses: list[Pose] = []
         for number, row in enumerate(rows, 2):
@@ -117,6 +121,9 @@ class Recorded(Source):
 class Packets(Source):
     """Poses that another program sends by UDP to a port of this computer; see `PACKET`.
 
+    A thread takes each as it comes: in the port's queue a pose would not age, and keep out newer
+    ones.
+
     Raises:
         PoseError: The port cannot be opened.
 
@@ -130,7 +137,7 @@ class Packets(Source):
         self._latest: tuple[Pose, float] | None = None
         self.refused = 0
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.setblocking(False)
+        self._socket.settimeout(0.1)  # before the thread looks whether the port is closed
         try:
             self._socket.bind(("127.0.0.1", port))
         except (OSError, OverflowError) as error:
@@ -139,22 +146,30 @@ class Packets(Source):
             raise PoseError(f"--pose udp:{port}: {reason}; does another deployment run?") from None
         self.port = self._socket.getsockname()[1]
         self.where = f"udp:{self.port}"
+        self._thread = Thread(target=self._run, name="hpac poses", daemon=True)
+        self._thread.start()
 
-    def latest(self) -> tuple[Pose, float] | None:
+    def _run(self) -> None:
         while True:
             try:
                 data = self._socket.recv(4096)
-            except BlockingIOError:
-                break
+            except TimeoutError:
+                continue
+            except OSError:  # closed
+                return
+            at = self._clock()
             try:
                 packet = json.loads(data)
                 if packet[PACKET] != VERSION:
                     raise PoseError(f"{PACKET} {packet[PACKET]!r}, this program reads {VERSION}")
                 numbers = [*packet["position"], *packet.get("quaternion", UPRIGHT)]
-                self._latest = pose_of(numbers, "packet"), self._clock()
-            except (ValueError, KeyError, TypeError, PoseError) as error:
-                self.refused += 1
+                self._latest = pose_of(numbers, "packet"), at
+            # Nested too deep is a RuntimeError, and so is a `PoseError`.
+            except (KeyError, TypeError, ValueError, OverflowError, RuntimeError) as error:
                 self.fault = f"{error}"
+                self.refused += 1
+
+    def latest(self) -> tuple[Pose, float] | None:
         if self._latest is None:
             return None
         pose, at = self._latest
@@ -163,9 +178,10 @@ class Packets(Source):
     def close(self) -> None:
         """Close the port."""
         self._socket.close()
+        self._thread.join()
 
 
-class Tags(Source):
+class Tags(Watch[Pose], Source):
     """Poses from the tags of ``hpac tags`` on the object and on the hand, before one camera.
 
     Args:
@@ -184,15 +200,9 @@ class Tags(Source):
     ) -> None:
         self._lens = lens
         self._top = top
-        self._watch = Watch(frames, self._look, clock)
-        self.latest = self._watch.latest
-        self.close = self._watch.close
+        super().__init__(frames, self._see, clock)
 
-    @property
-    def fault(self) -> str:
-        return self._watch.fault
-
-    def _look(self, picture: np.ndarray) -> Pose:
+    def _see(self, picture: np.ndarray) -> Pose:
         self._lens.require(picture)
         place = object_place(detect(picture), self._lens, self._top)
         return Pose(place.position, tuple(Rotation.from_matrix(place.rotation).as_quat().tolist()))
@@ -228,26 +238,6 @@ def source_of(text: str, seen: ObjectSpec | None = None) -> Source:
         ) from None
 
 
-def first(
-    source: Source,
-    patience: float,
-    pause: Callable[[float], None] = sleep,
-    clock: Callable[[], float] = monotonic,
-) -> Pose:
-    """The latest pose, as soon as there is one; arguments and error as of `averaged`."""
-    late = Late(f"waiting for poses at {source.where}")
-    begun = clock()
-    while (latest := source.latest()) is None:
-        if clock() - begun > patience:
-            raise PoseError(
-                f"no pose of the object within {patience:g} s at {source.where}"
-                + (f": {source.fault}" if source.fault else "")
-            )
-        late()
-        pause(0.02)
-    return latest[0]
-
-
 def averaged(
     source: Source,
     seconds: float,
@@ -269,7 +259,16 @@ def averaged(
     Raises:
         PoseError: No pose came, or the object was lost.
     """
-    first(source, patience, pause, clock)
+    late = Late(f"waiting for poses at {source.where}")
+    begun = clock()
+    while source.latest() is None:
+        if clock() - begun > patience:
+            raise PoseError(
+                f"no pose of the object within {patience:g} s at {source.where}"
+                + (f": {source.fault}" if source.fault else "")
+            )
+        late()
+        pause(0.02)
     poses: list[Pose] = []
     until = clock() + seconds
     while True:

@@ -38,9 +38,9 @@ class Course:
     seen: Array
     """Where the object was seen, in the hand's frame, shape (n, 3) [m]."""
     commanded: Array
-    """Commands of the simulation, shape (n, 6) [rad]."""
+    """Commands of the simulation, shape (n, 6) [rad]; NaN after its episode."""
     simulated: Array
-    """Where the object is in the simulation, shape (n, 3) [m]."""
+    """Where the object is in the simulation, shape (n, 3) [m]; NaN after its episode."""
     outcome: str
     """How the simulation's episode ended."""
 
@@ -60,17 +60,21 @@ def run(options: argparse.Namespace) -> int:
     if options.out:
         require(options.out)
     head, steps, end = read_log(options.log)
-    course = simulated(head, steps, options.engine)
+    needed = head.get("options", {})
+    observer = Observer(head["env_id"], object_of(head["object"]), grasp=head["grasp"], **needed)
+    course = simulated(observer, needed, steps, options.engine)
     apart = np.abs(course.sent - course.commanded)
-    step, servo = np.unravel_index(int(apart.argmax()), apart.shape)
+    step, servo = np.unravel_index(int(np.nanargmax(apart)), apart.shape)
     distance = np.linalg.norm(course.seen - course.simulated, axis=1)
     beyond = np.flatnonzero(distance > APART_M)
+    played = int(np.isfinite(distance).sum())
+    early = f" after {played} steps, before the end of the log" if played < len(steps) else ""
     where = f"apart from {course.time[beyond[0]]:.2f} s on" if beyond.size else "together"
     text = f"""\
 {head["policy"]} on {head["port"]}, {len(steps)} steps, ended: {end}
 commands: at most {apart[step, servo]:.3f} rad from the simulation's, {SERVOS[servo]} at {course.time[step]:.2f} s
-object: at most {1e3 * distance.max():.0f} mm from the simulated one, {where}
-the simulation: {course.outcome}"""
+object: at most {1e3 * np.nanmax(distance):.0f} mm from the simulated one, {where}
+the simulation: {course.outcome}{early}"""
     say(
         options.json,
         text,
@@ -79,9 +83,10 @@ the simulation: {course.outcome}"""
         steps=len(steps),
         end=end,
         command_error_rad=float(apart[step, servo]),
-        object_error_m=float(distance.max()),
+        object_error_m=float(np.nanmax(distance)),
         apart_from_s=float(course.time[beyond[0]]) if beyond.size else None,
         simulation=course.outcome,
+        simulated_steps=played,
     )
     if options.out:
         save(figure_of(course), options.out)
@@ -89,7 +94,6 @@ the simulation: {course.outcome}"""
     if options.view:
         from hpac_gym.deploy.watching import show_log
 
-        observer = Observer(head["env_id"], object_of(head["object"]), grasp=head["grasp"])
         show_log(observer.setup, steps)
     return 0
 
@@ -120,36 +124,29 @@ def read_log(path: Path) -> tuple[dict[str, Any], list[dict[str, Any]], str]:
     return rows[0], steps, end
 
 
-def simulated(head: dict[str, Any], steps: list[dict[str, Any]], engine: str) -> Course:
-    """The same actions on a simulated hand, whose object stands where it was seen first."""
-    observer = Observer(head["env_id"], object_of(head["object"]), grasp=head["grasp"])
+def simulated(
+    observer: Observer, options: dict[str, Any], steps: list[dict[str, Any]], engine: str
+) -> Course:
+    """The same actions on a simulated hand, whose object stands where it was seen first; `options`
+    are of the environment.
+    """
     place = np.array(steps[0]["position"])
     setup = replace(observer.setup, position=place)
-    commanded = []
-    positions = []
-    outcome = "running"
-    with make_env(head["env_id"], engine=engine) as env:
+    time, sent, hand, seen = (
+        np.array([row[name] for row in steps]) for name in ("t", "sent", "hand", "position")
+    )
+    commanded = np.full(sent.shape, np.nan)
+    positions = np.full(seen.shape, np.nan)
+    with make_env(observer.spec.id, engine=engine, **options) as env:
         env.reset(seed=0, options={"setup": setup})
         bare = env.unwrapped
-        over = False
-        for row in steps:
-            positions.append(bare.state.object_pos[0].copy())
-            if not over:
-                _, _, over, _, info = env.step(np.array(row["action"], dtype=np.float32))
-                outcome = info["outcome"]
-            commanded.append(bare.command.servo.copy())
-    told = {
-        name: np.array([row[name] for row in steps]) for name in ("t", "sent", "hand", "position")
-    }
-    return Course(
-        told["t"],
-        told["sent"],
-        told["hand"],
-        told["position"],
-        np.array(commanded),
-        np.array(positions),
-        outcome,
-    )
+        for i, row in enumerate(steps):
+            positions[i] = bare.state.object_pos[0]
+            _, _, over, _, info = env.step(np.array(row["action"], dtype=np.float32))
+            commanded[i] = bare.command.servo
+            if over:
+                break
+    return Course(time, sent, hand, seen, commanded, positions, info["outcome"])
 
 
 def figure_of(course: Course) -> Any:

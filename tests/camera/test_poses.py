@@ -129,7 +129,7 @@ def test_a_watch_keeps_the_latest_result_and_says_why_there_is_none():
     picture, position, _ = scene(0)
     pictures = Pictures(picture, np.zeros_like(picture))
     source = poses.Tags(pictures, watched.TRUE, watched.TOP)
-    source._watch._thread.join(10)
+    source._thread.join(10)
     pose, age = source.latest()
     assert np.linalg.norm(pose.position - position) < 3e-3
     assert age >= 0

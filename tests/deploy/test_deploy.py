@@ -2,8 +2,10 @@
 without pulses whatever happens.
 """
 
+import io
 import json
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -24,7 +26,7 @@ from hpac_gym.bridge.errors import LinkTimeout, LogWarning
 from hpac_gym.bridge.frame import Frame, encode
 from hpac_gym.deploy.arm import Arm, arm_of
 from hpac_gym.deploy.commands import object_of
-from hpac_gym.deploy.episode import Log, run_episode
+from hpac_gym.deploy.episode import Log, run_episode, wire_log
 from hpac_gym.deploy.errors import DeployError, PoseError
 from hpac_gym.deploy.observer import TASKS, UPRIGHT, Observer, Pose
 from hpac_gym.deploy.poses import Fixed, Packets, Recorded, averaged, pose_of, source_of
@@ -141,27 +143,46 @@ def test_a_source_that_is_none_is_one_line(text, says):
         source_of(text)
 
 
+@pytest.mark.parametrize(
+    ("rows", "says"),
+    [
+        ("", "no rows"),
+        ("0,0.05,x,0.1\n", "row 2: could not convert string to float: 'x'"),
+        ("0,0.05,0\n", "row 2: the columns are time_s, x_m"),
+        ("0,0.05,0,0.1\n" * 2, "row 3: 0 s does not follow 0 s"),
+        ('0,"0.05,0,0.1\n' + "1,0.05,0,0.1\n" * 20_000, "field larger than field limit"),
+    ],
+    ids=["none", "text", "column", "time", "quote"],
+)
+def test_a_file_that_has_no_poses_is_one_line(rows, says, tmp_path):
+    path = tmp_path / "poses.csv"
+    path.write_text("time_s,x_m,y_m,z_m\n" + rows)
+    with pytest.raises(PoseError, match=f"^poses {path}.* {says}"):
+        source_of(f"{path}")
+
+
 def test_packets_come_by_udp_and_what_is_none_is_counted():
-    packets = Packets(0)
+    now = [0.0]
+    packets = Packets(0, lambda: now[0])
     sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-
-    def send(data):
-        sender.sendto(data, ("127.0.0.1", packets.port))
-        time.sleep(0.01)
-        return packets.latest()
-
-    assert packets.latest() is None
-    for wrong in (
-        b"\xff",
-        b"{}",
-        b'{"hpac_pose": 2}',
+    sender.connect(("127.0.0.1", packets.port))
+    wrong = (
+        *(b"\xff", b"{}", b'{"hpac_pose": 2}', b"[" * 4000),
         b'{"hpac_pose": 1, "position": [1e9, 0, 0]}',
-    ):
-        assert send(wrong) is None
-    assert packets.refused == 4
-    pose, age = send(json.dumps({"hpac_pose": 1, "position": [0.05, 0, 0.1]}).encode())
+        b'{"hpac_pose": 1, "position": [1%b, 0, 0]}' % (b"0" * 400),
+    )
+    for data in wrong:
+        sender.send(data)
+    wait_for(lambda: packets.latest() or packets.refused == len(wrong), 10)
+    assert packets.latest() is None
+    # Nobody asks meanwhile: a pose ages from when it came.
+    sender.send(b'{"hpac_pose": 1, "position": [0.05, 0, 0.1]}')
+    sender.send(b"{}")
+    wait_for(lambda: packets.refused > len(wrong), 10)
+    now[0] = 10.0
+    pose, age = packets.latest()
     assert pose.position.tolist() == [0.05, 0, 0.1]
-    assert 0 <= age < 1
+    assert age == 10.0
     packets.close()
     sender.close()
 
@@ -174,7 +195,9 @@ def test_a_port_that_is_taken_names_the_pose_and_a_likely_cause():
     packets.close()
 
 
-def test_a_hand_is_armed_once_there_is_a_pose_and_what_is_waited_for_is_told(monkeypatch, capsys):
+def test_a_hand_is_armed_once_there_are_pose_and_action_and_what_is_waited_for_is_told(
+    monkeypatch, capsys
+):
     clock = iter(range(100_000))
     monkeypatch.setattr("hpac_gym.progress.monotonic", lambda: next(clock))
     hand = VirtualHand()
@@ -183,6 +206,9 @@ def test_a_hand_is_armed_once_there_is_a_pose_and_what_is_waited_for_is_told(mon
         monkeypatch.setattr(link, "arm", lambda **_: pytest.fail("armed"))
         with pytest.raises(PoseError, match=f"within 5 s at udp:{packets.port}"):
             run_episode(link, Observer(GRASP, CAN), Failing(None), packets, Arm(), Log(None))
+        policy = Thinking(hand, 5)
+        with pytest.raises(DeployError, match="the policy's action must be 6 numbers"):
+            run_episode(link, Observer(GRASP, CAN), policy, Fixed(PLACE), Arm(), Log(None))
     said = f"waiting for poses at udp:{packets.port}\n"
     assert capsys.readouterr().err == said
     with pytest.raises(DeployError, match=r"arm at 127\.0\.0\.1:9 did not say that it is ready"):
@@ -207,8 +233,10 @@ def test_the_first_pose_is_a_mean_and_its_absence_one_line():
     mean = averaged(Noisy(), 2.0, 0.5, pause=pause, clock=lambda: now[0])
     assert np.abs(mean.position[1:]).max() < 0.003
     np.testing.assert_allclose(np.abs(mean.quaternion), 0.5)
+    packets = Packets(0)
     with pytest.raises(PoseError, match="no pose of the object within 5 s"):
-        averaged(Packets(0), 1.0, 0.5, pause=pause, clock=lambda: now[0])
+        averaged(packets, 1.0, 0.5, pause=pause, clock=lambda: now[0])
+    packets.close()
 
 
 # --- the command
@@ -243,6 +271,64 @@ def test_a_policy_that_places_the_wrist_tells_a_person_where(tmp_path, capsys, m
     for line, name, value in zip(lines, ("x", "y", "z", "yaw"), first["action"][6:], strict=False):
         assert line == f"arm: the policy places wrist_{name} {value:+.2f}"
     assert lines[4] == "the object is seen; Enter: the hand stands there, close"
+
+
+def test_an_enter_that_was_typed_before_the_question_is_none(monkeypatch):
+    keys, terminal = os.openpty()
+    monkeypatch.setattr("sys.stdin", os.fdopen(terminal))
+    os.write(keys, b"\n")
+    waited = []
+
+    def wait(seconds):
+        waited.append(seconds)
+        if len(waited) == 3:
+            os.write(keys, b"\n")
+
+    arm_of("enter").ready(wait, {"phase": "ready"})
+    assert len(waited) >= 3
+    sys.stdin.close()
+    os.close(keys)
+
+
+def test_without_a_standard_input_nobody_is_waited_for(monkeypatch, capsys, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.stdin", None)
+    words = ("deploy", *WORDS, "--port", "virtual", "--arm", "enter")
+    assert "standard input is closed" in refused(capsys, lambda: hpac.main(words))
+
+
+class Gone(io.StringIO):
+    """A terminal that is no more."""
+
+    def isatty(self):
+        return True
+
+    def write(self, text):
+        raise BrokenPipeError
+
+
+@pytest.mark.parametrize("stderr", [None, Gone()], ids=["closed", "gone"])
+def test_an_episode_that_nobody_follows_goes_on(stderr, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("sys.stderr", stderr)
+    status, said = told(capsys, *WORDS, "--port", "virtual", "--log", str(tmp_path / "log"))
+    arm_of("enter").tell({"phase": "lift"})
+    monkeypatch.undo()
+    assert (status, len(said.out.splitlines())) == (0, 2)
+    assert "done: 64 commands" in said.out
+
+
+@pytest.mark.parametrize("stream", ["out", "err"])
+def test_only_a_reader_of_the_output_that_leaves_ends_a_command_without_an_error(stream):
+    script = (
+        "import sys; from hpac_gym.command import run; "
+        f"run(lambda: print('word', file=sys.std{stream}, flush=True))"
+    )
+    reader, writer = os.pipe()
+    os.close(reader)
+    ends = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, f"std{stream}": writer}
+    done = subprocess.run([sys.executable, "-c", script], **ends, check=False)
+    os.close(writer)
+    assert (done.returncode == 0) == (stream == "out")
 
 
 def test_an_episode_leaves_a_log_and_a_hand_without_pulses(tmp_path, capsys):
@@ -332,6 +418,14 @@ def test_a_log_is_kept_from_the_next_deployment_that_names_it(tmp_path, capsys):
     wires = {name: (tmp_path / f"log{name}.wire.jsonl").read_text() for name in kept}
     assert [text.count("\n") for text in kept.values()] == [66] * 3
     assert len(set(wires.values())) == 3
+
+
+def test_every_log_has_a_wire_log_of_its_own_which_is_kept_without_it(tmp_path):
+    names = [wire_log(Path(name)).name for name in ("n.jsonl", "try.1", "try.2")]
+    assert names == ["n.wire.jsonl", "try.1.wire.jsonl", "try.2.wire.jsonl"]
+    (tmp_path / "n.wire.jsonl").write_text("frames")
+    with Log(tmp_path / "n.jsonl"):
+        assert (tmp_path / "n-1.wire.jsonl").read_text() == "frames"
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
@@ -442,6 +536,47 @@ def test_the_hand_opens_and_is_disarmed_before_an_error_is_told(fault, source, l
     np.testing.assert_allclose(hand.last, 0.0, atol=1e-4)
 
 
+class Thinking:
+    """A policy whose first decision takes longer than the watchdog waits; it counts them."""
+
+    def __init__(self, hand, size):
+        self.hand = hand
+        self.size = size
+        self.decisions = 0
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        if not self.decisions:
+            self.hand.run(0.6)
+        self.decisions += 1
+        return np.zeros(self.size), None
+
+
+@pytest.mark.parametrize(("env_id", "options"), [(GRASP, {}), (GRASP_ANY, {"wrist": "free"})])
+def test_a_first_decision_may_be_slow_and_none_is_asked_for_twice(env_id, options):
+    hand = VirtualHand()
+    observer = Observer(env_id, CAN, **options)
+    with HandLink(hand.connect) as link:
+        policy = Thinking(hand, *observer.action_space.shape)
+        run_episode(link, observer, policy, Fixed(PLACE), Arm(), Log(None), seconds=0.1)
+    assert policy.decisions == observer.steps
+
+
+def test_a_hand_does_not_close_on_an_object_that_is_lost_while_the_arm_gets_ready():
+    class Arriving(Arm):
+        def ready(self, wait, told):
+            source.looks = 15
+
+    source = Lost(PLACE)
+    observer = Observer(GRASP, CAN)
+    with HandLink(VirtualHand().connect) as link:
+        with pytest.raises(PoseError, match="3 s old, allowed"):
+            run_episode(
+                *(link, observer, Failing(None), source, Arriving(), Log(None)),
+                seconds=0.1,
+                live=lambda _: pytest.fail("closes"),
+            )
+
+
 def test_without_opening_the_hand_would_have_stayed_closed():
     """The control of the test above."""
     hand = Watched()
@@ -498,7 +633,8 @@ def test_an_arm_is_told_every_phase_and_says_when_it_is_ready():
     def wait(_):
         data, address = arm.recvfrom(4096)
         asked.append(json.loads(data))
-        arm.sendto(b'{"hpac_arm": 1, "ready": true}' if len(asked) == 3 else b"what?", address)
+        answers = b"what?", b"[" * 4000, b'{"hpac_arm": 1, "ready": true}'
+        arm.sendto(answers[len(asked) - 1], address)
         time.sleep(0.01)
 
     hand = VirtualHand()
@@ -593,6 +729,30 @@ def test_a_log_is_played_beside_a_simulation(log, capsys):
     assert picture.stat().st_size > 10_000
 
 
+def test_what_a_policy_needed_of_its_environment_is_played_too(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("hpac_gym.deploy.arm.Person.ready", lambda *_: None)
+    log = tmp_path / "log.jsonl"
+    words = ("grasp-any-wrist", *WORDS[1:], "--port", "virtual", "--arm", "enter")
+    assert told(capsys, *words, "--log", str(log))[0] == 0
+    status, said = replayed(capsys, log)
+    assert (status, said.err) == (0, "")
+    assert said.out.startswith("grasp-any-wrist on virtual, 144 steps, ended: done")
+
+
+def test_nothing_is_compared_after_the_end_of_the_simulation(tmp_path, capsys):
+    log = tmp_path / "log.jsonl"
+    words = ("pick-place", *WORDS[1:], "--port", "virtual", "--log", str(log))
+    with pytest.warns(UserWarning, match="PickPlace-v0 draws it at"):
+        assert told(capsys, *words)[0] == 0
+    status, said = replayed(capsys, log)
+    assert (status, said.err) == (0, "")
+    lines = said.out.splitlines()
+    assert float(lines[1].split()[3]) < 0.15
+    assert re.fullmatch(
+        "the simulation: failure after . steps, before the end of the log", lines[3]
+    )
+
+
 def test_no_legend_lies_on_a_curve(tmp_path):
     time = np.linspace(0, 4, 60)
     course = Course(time, *(np.outer(time, np.ones(n)) for n in (6, 6, 3, 6, 3)), "success")
@@ -606,6 +766,7 @@ def test_an_object_that_moved_is_told(log, capsys):
     rows = [json.loads(line) for line in log.read_text().splitlines()]
     for row in rows[10:-1]:
         row["position"][1] += 0.05
+    del rows[0]["options"]  # as in older logs
     log.write_text("\n".join(map(json.dumps, rows)))
     assert "apart from 0.4" in replayed(capsys, log)[1].out
 
