@@ -5,8 +5,8 @@
 import argparse
 import json
 import sys
-from collections.abc import Callable, Iterable, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 
 import numpy as np
 
@@ -91,6 +91,12 @@ def connector(port: str, stack: ExitStack, hand: Hand = HPAC) -> str | Callable[
     return port
 
 
+@contextmanager
+def _linked(port: str, hand: Hand) -> Iterator[HandLink]:
+    with ExitStack() as stack:
+        yield stack.enter_context(HandLink(connector(port, stack, hand), hand=hand))
+
+
 def _hand(options: argparse.Namespace) -> Hand:
     return load_hand(options.hand) if options.hand else HPAC
 
@@ -140,8 +146,7 @@ def _wiggle(options: argparse.Namespace) -> int:
         raise WorkspaceError(
             f"--angle {options.angle} rad must be above 0 and at most {room:.3f} rad"
         )
-    with ExitStack() as stack:
-        link = stack.enter_context(HandLink(connector(options.port, stack, hand), hand=hand))
+    with _linked(options.port, hand) as link:
         link.arm()
         for name in options.servo or SERVOS:
             index = SERVOS.index(name)
@@ -159,10 +164,7 @@ def _wiggle(options: argparse.Namespace) -> int:
 
 
 def _clear(options: argparse.Namespace) -> int:
-    with ExitStack() as stack:
-        link = stack.enter_context(
-            HandLink(connector(options.port, stack, _hand(options)), hand=_hand(options))
-        )
+    with _linked(options.port, _hand(options)) as link:
         fault = link.last_status.fault if link.last_status else "none"
         link.clear()
         status = link.status()
@@ -206,8 +208,7 @@ def send_and_hold(port: str, command: ServoCommand, hand: Hand = HPAC) -> None:
         BridgeError: The port, the hand or the firmware failed; the hand is then without pulses, or
             an `UnconfirmedWarning` was issued.
     """
-    with ExitStack() as stack:
-        link = stack.enter_context(HandLink(connector(port, stack, hand), hand=hand))
+    with _linked(port, hand) as link:
         link.arm()
         rest = np.clip(0.0, hand.servo_min, hand.servo_max)
         link.move(

@@ -1,12 +1,14 @@
 """Slow moves of an armed hand: to where a program begins, and open at its end, whatever happened."""
 
+import math
 from contextlib import suppress
 
 import numpy as np
 
 from hpac_gym.bridge.errors import BridgeError, FaultError
 from hpac_gym.bridge.link import HandLink
-from hpac_gym.model import SERVOS, ServoCommand, move_duration
+from hpac_gym.bridge.protocol import CONSTANTS
+from hpac_gym.model import ServoCommand, move_duration
 from hpac_gym.model.checks import Array
 
 GENTLE = 0.25
@@ -17,8 +19,11 @@ def go(link: HandLink, servo: Array) -> None:
     """Move slowly to servo angles, shape (6,) [rad], and wait until they are reached. Errors as of
     `HandLink.move`.
     """
-    least = move_duration(link.status().servo, servo)
-    link.move(ServoCommand(servo, least / GENTLE + 0.05))
+    start = link.status().servo
+    duration = move_duration(start, servo, link.board.built_for) / GENTLE + 0.05
+    moves = math.ceil(1e3 * duration / CONSTANTS["move_max_ms"])
+    for share in np.linspace(0.0, 1.0, moves + 1)[1:]:
+        link.move(ServoCommand(start + share * (servo - start), duration / moves))
     link.wait()
 
 
@@ -27,7 +32,8 @@ def open_hand(link: HandLink) -> None:
     link.exchange.on_ack = None
     link.exchange.refused = None
     if link.status().state == "armed":
-        go(link, np.zeros(len(SERVOS)))
+        hand = link.board.built_for
+        go(link, np.clip(0.0, hand.servo_min, hand.servo_max))
 
 
 def release(link: HandLink, error: BaseException) -> None:

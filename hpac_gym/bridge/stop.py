@@ -9,7 +9,7 @@ from contextlib import ExitStack
 
 from hpac_gym.bridge.errors import LinkTimeout, PortError
 from hpac_gym.bridge.frame import Frame, FrameSplitter, encode
-from hpac_gym.bridge.protocol import MESSAGES, Reason, State
+from hpac_gym.bridge.protocol import MESSAGES, Fault, Reason
 from hpac_gym.bridge.transport import Transport, open_transport
 from hpac_gym.command import add_json, drop_output, say
 
@@ -92,5 +92,5 @@ def _confirms(frame: Frame) -> bool:
     if frame.name == "ack":
         return number("acked") == MESSAGES["estop"].code and number("reason") == Reason.ok
     if frame.name == "device_status":
-        return number("state") != State.armed and not number("attached")
+        return number("fault") == Fault.estop and not number("attached")
     return False

@@ -174,8 +174,8 @@ class Stream:
         """End the stream: later moves of the link are answered as usual. A stream that is not
         closed ends with its link.
         """
-        self._exchange.on_ack = None
         self._link.status()
+        self._exchange.on_ack = None
 
     def wait(self) -> None:
         """Wait for the time of the next command, which the next `send` then does not wait for: for

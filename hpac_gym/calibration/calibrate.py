@@ -19,7 +19,8 @@ from hpac_gym.calibration.report import fit_figure, report, summary
 from hpac_gym.calibration.samples import HELD_OUT_EVERY
 from hpac_gym.figures import require, save
 from hpac_gym.model import HPAC, Hand, hand_to_toml, load_hand
-from hpac_gym.output import write_text
+from hpac_gym.model.files import hand_from_toml
+from hpac_gym.output import writable_file, writable_folder, write_text
 
 OUT = Path("runs/calibrate/hand.toml")
 _IDENTIFIED = (
@@ -77,9 +78,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Check the record, fit, write the hand file, and report the file's error at the held-out
-    points.
-    """
+    """Check the record, fit, report the hand file's error at the held-out points, and write it."""
     require()
     base = load_hand(arguments.base) if arguments.base else HPAC
     record = read_sweep(arguments.record, allow_missing=True)
@@ -92,26 +91,28 @@ def run(arguments: argparse.Namespace) -> int:
                 f"--check {arguments.check} is the same sweep; it must be a second one"
             )
         remarks += [f"{arguments.check.name}: {remark}" for remark in judged(second, base)]
+    writable_file(arguments.out)
     identified = identify(
         record, base, arguments.spread, arguments.radii_known, True, shown=True, draws=DRAWS
     )
+    folder = writable_folder(report_folder(arguments.out))
     remarks += doubts(identified, base)
-    write_text(arguments.out, hand_to_toml(named(identified, base, arguments.record.name)))
-    written = load_hand(arguments.out)
+    text = hand_to_toml(named(identified, base, arguments.record.name))
+    written = hand_from_toml(text, str(arguments.out))
     errors = (
         file_errors(identified, written) if second is None else check_errors(second, written, base)
     )
     if second:
         remarks += contradictions(errors)
-    folder = report_folder(arguments.out)
     write_draws(arguments.out, written, identified)
     result = summary(identified, base, errors, remarks, bool(second))
-    text = report(identified, base, errors, remarks, arguments.check.name if second else "")
-    write_text(folder / "report.md", text)
+    told = report(identified, base, errors, remarks, arguments.check.name if second else "")
+    write_text(folder / "report.md", told)
     write_text(folder / "report.json", json.dumps(result, indent=2) + "\n")
     caption = f"{written.name}, {arguments.record.name}; points, every {HELD_OUT_EVERY}th held out"
     save(fit_figure(identified, base, written), folder / "fit.png", caption)
-    print(json.dumps(result) if arguments.json else f"{text}\nwritten: {arguments.out}, {folder}")
+    write_text(arguments.out, text)
+    print(json.dumps(result) if arguments.json else f"{told}\nwritten: {arguments.out}, {folder}")
     return 0
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from hpac_gym.bridge import HandLink
 from hpac_gym.bridge.commands import connector
 from hpac_gym.calibration.driver import PROTOCOL, Driver, Look
-from hpac_gym.calibration.protocol import rest_pose
+from hpac_gym.calibration.protocol import CLEARED
 from hpac_gym.calibration.record import RecordError, Sweep, read_sweep, write_sweep
 from hpac_gym.calibration.segment import Segment, added, angles_in
 from hpac_gym.camera import CameraError
@@ -171,9 +171,10 @@ def record(
                     misfit = segment.angles_from_tags(lens)
                 except CameraError as error:
                     raise CameraError(f"sweep of {servo}: {error}") from None
-                print(f"its tags fit to {misfit:.2f} pixels", file=sys.stderr, flush=True)
-                if rest_pose(servo).any() and segment.slack(hand) < LEAST_SLACK:
-                    print(TAUT.format(servo), file=sys.stderr, flush=True)
             write_sweep(path, added(path, segment))
             print(f"recorded: {servo} in {path}", file=sys.stderr, flush=True)
+            if isinstance(look, Eye):
+                print(f"its tags fit to {misfit:.2f} pixels", file=sys.stderr, flush=True)
+                if servo == CLEARED and segment.slack(hand) < LEAST_SLACK:
+                    print(TAUT.format(servo), file=sys.stderr, flush=True)
     return read_sweep(path)

@@ -8,7 +8,7 @@ import numpy as np
 
 from hpac_gym.bridge import HandLink
 from hpac_gym.bridge.gentle import go, open_hand, release
-from hpac_gym.calibration.protocol import Protocol, rest_pose
+from hpac_gym.calibration.protocol import CLEARED, Protocol, rest_pose
 from hpac_gym.calibration.record import EXTENDING, FLEXING, REST
 from hpac_gym.calibration.segment import Segment
 from hpac_gym.camera.detection import Seen
@@ -72,8 +72,8 @@ class Driver:
 
     def _sweep(self, segment: Segment) -> None:
         swept = SERVO_INDEX[segment.servo]
-        holds = rest_pose(segment.servo)
-        held = holds.any()
+        holds = rest_pose(segment.servo, self._hand)
+        held = segment.servo == CLEARED
         angles = np.linspace(
             self._hand.servo_min[swept], self._hand.servo_max[swept], self._protocol.points
         )
@@ -125,7 +125,9 @@ class Driver:
             segment = self._segment
             segment.seen.append(self._look() or {})
             segment.labels.append((phase, point))
-            segment.commanded.append(rest_pose(segment.servo) if phase == REST else status.servo)
+            segment.commanded.append(
+                rest_pose(segment.servo, self._hand) if phase == REST else status.servo
+            )
             segment.unix.append(time.time())
             segment.time.append(self._next * self._period)
             self._next += 1

@@ -10,7 +10,7 @@ import numpy as np
 
 from hpac_gym.calibration.record import REST, RecordError, Sweep, joints_of_servo
 from hpac_gym.errors import WorkspaceError
-from hpac_gym.model import JOINTS
+from hpac_gym.model import JOINTS, SERVOS
 from hpac_gym.model.checks import Array
 
 CUTOFF_HZ = 3.0
@@ -66,7 +66,7 @@ def processed(sweep: Sweep) -> Sweep:
     """
     joint_pos = sweep.joint_pos.copy()
     for rows in sweep.segments():
-        rate = sampling_rate(sweep.time[rows])
+        rate = sampling_rate(sweep[rows])
         frame = np.round((sweep.time[rows] - sweep.time[rows[0]]) * rate).astype(int)
         frames = np.arange(frame[-1] + 1)
         for joint in range(joint_pos.shape[1]):
@@ -99,13 +99,14 @@ def off_neighbours(values: Array) -> Array:
     return off
 
 
-def sampling_rate(time: Array) -> float:
-    """Rate of evenly spaced samples [Hz], some of which may be missing.
+def sampling_rate(segment: Sweep) -> float:
+    """Rate of a segment's evenly spaced samples [Hz], some of which may be missing.
 
     Raises:
         RecordError: A gap deviates from a multiple of the median gap by more than 5 % of it, or
             exceeds `LONGEST_GAP` of them.
     """
+    time = segment.time
     gaps = np.diff(time)
     period = float(np.median(gaps)) if gaps.size else 0.0
     steps = np.maximum(np.round(gaps / period), 1) if period > 0 else gaps
@@ -115,8 +116,8 @@ def sampling_rate(time: Array) -> float:
         or steps.max() > LONGEST_GAP
     ):
         raise RecordError(
-            f"samples from {time[0]:g} s to {time[-1]:g} s are not evenly spaced with at most {LONGEST_GAP - 1} dropped in a "
-            f"row; a filter needs them so"
+            f"trial {segment.trial[0]}, sweep of {SERVOS[segment.swept[0]]}: samples from {time[0]:g} s to {time[-1]:g} s "
+            f"are not evenly spaced with at most {LONGEST_GAP - 1} dropped in a row; a filter needs them so"
         )
     return 1.0 / period
 

@@ -5,23 +5,25 @@ from dataclasses import dataclass
 import numpy as np
 
 from hpac_gym.errors import ParameterError
-from hpac_gym.model import SERVO_INDEX, SERVOS
+from hpac_gym.model import HPAC, SERVO_INDEX, SERVOS, Hand
 from hpac_gym.model.checks import Array
 
 THUMB_CLEAR = 1.2
 """CMC angle at which the thumb can flex over its whole range without touching fingers or palm
 [rad].
 """
+CLEARED = "thumb_mp"
+"""Servo during whose sweep the thumb's CMC holds `THUMB_CLEAR`, also at rest."""
 
 
-def rest_pose(swept: str) -> Array:
+def rest_pose(swept: str, hand: Hand = HPAC) -> Array:
     """Initial servo angles of a sweep: open, with the thumb clear of the index if it is swept,
     shape (6,) [rad].
     """
     pose = np.zeros(len(SERVOS))
-    if swept == "thumb_mp":
+    if swept == CLEARED:
         pose[SERVO_INDEX["thumb_cmc"]] = THUMB_CLEAR
-    return pose
+    return np.clip(pose, hand.servo_min, hand.servo_max)
 
 
 @dataclass(frozen=True, slots=True)

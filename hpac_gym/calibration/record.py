@@ -137,7 +137,7 @@ def read_sweep(path: str | os.PathLike[str], allow_missing: bool = False) -> Swe
     lines = read_text(path, "sweep", RecordError, "utf-8-sig").splitlines()
     try:
         return _parse(lines, allow_missing)
-    except RecordError as error:
+    except (RecordError, csv.Error) as error:
         raise RecordError(f"sweep {path}: {error}") from None
 
 
@@ -147,7 +147,8 @@ def _parse(lines: list[str], allow_missing: bool) -> Sweep:
     numbers = [
         number for number, line in enumerate(lines, 1) if line.strip() and not line.startswith("#")
     ]
-    table = list(zip(numbers, csv.reader(lines[number - 1] for number in numbers), strict=True))
+    # Each line by itself: a quotation mark that nothing closes is a fault of its row alone.
+    table = [(number, next(csv.reader([lines[number - 1]]))) for number in numbers]
     if len(table) < 2:
         raise RecordError("no rows of data")
     names = [name.strip() for name in table[0][1]]

@@ -146,7 +146,10 @@ def angles_in(path: Path, last: int = sys.maxsize) -> tuple[list[str], Array, Ar
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or "not UTF-8 text"
         raise RecordError(f"angles {path}: {reason}") from None
-    rows = list(csv.DictReader(line for line in lines if line.endswith("\n")))
+    try:
+        rows = list(csv.DictReader(line for line in lines if line.endswith("\n")))
+    except csv.Error as error:
+        raise RecordError(f"angles {path}: {error}") from None
     names = [name for name in JOINT_COLUMNS if rows and name in rows[0]]
     if not names or "time_s" not in rows[0]:
         raise RecordError(
@@ -163,16 +166,20 @@ def angles_in(path: Path, last: int = sys.maxsize) -> tuple[list[str], Array, Ar
 
 
 def added(path: Path, segment: Segment) -> Sweep:
-    """The record of a segment, and of the others in a file.
+    """The record of a segment, and of the others in a file; it stands where the file has its like.
 
     Raises:
         RecordError: The file is no record.
     """
-    parts = [segment.sweep()]
+    parts: list[Sweep] = []
+    place = 0
     if path.exists():
         before = read_sweep(path)
         for rows in before.segments():
             key = int(before.trial[rows[0]]), int(before.swept[rows[0]])
-            if key != (segment.trial, SERVO_INDEX[segment.servo]):
+            if key == (segment.trial, SERVO_INDEX[segment.servo]):
+                place = len(parts)
+            else:
                 parts.append(before[rows])
+    parts.insert(place, segment.sweep())
     return concatenate(parts)

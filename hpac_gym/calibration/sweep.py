@@ -57,9 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="K",
         help="sampling points of a servo (31); with 9 a servo takes half a minute",
     )
-    parser.add_argument(
-        "--trial", type=whole_number(0), default=0, help="number of the repetition (%(default)s)"
-    )
+    parser.add_argument("--trial", type=whole_number(0), help="number of the repetition (0)")
     add_common_arguments(parser)
     parser.set_defaults(run=run)
 
@@ -98,13 +96,21 @@ def run(arguments: argparse.Namespace) -> int:
             camera=arguments.camera,
             angles=arguments.angles,
             servos=arguments.servo or SERVOS,
-            trial=arguments.trial,
+            trial=arguments.trial or 0,
             points=arguments.points,
             hand=hand,
-            ask=input if sys.stdin.isatty() else None,
+            ask=_ask if sys.stdin is None or sys.stdin.isatty() else None,
         )
-    elif arguments.servo or arguments.camera or arguments.angles or arguments.points:
-        raise RecordError("--camera, --angles, --servo and --points are of --port, not of --record")
+    elif (
+        arguments.servo
+        or arguments.camera
+        or arguments.angles
+        or arguments.points
+        or arguments.trial is not None
+    ):
+        raise RecordError(
+            "--camera, --angles, --servo, --points and --trial are of --port, not of --record"
+        )
     else:
         record = read_sweep(path)
     evaluate(
@@ -116,6 +122,17 @@ def run(arguments: argparse.Namespace) -> int:
         remarks=judged(record, hand),
     )
     return 0
+
+
+def _ask(what: str) -> None:
+    """Tell a person what to do, on standard error beside the results, and wait for Enter.
+
+    Raises:
+        RecordError: Standard input is closed, or has ended.
+    """
+    print(what, file=sys.stderr, flush=True)
+    if sys.stdin is None or not sys.stdin.readline():
+        raise RecordError("standard input has ended: nobody answers")
 
 
 def evaluate(

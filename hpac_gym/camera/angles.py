@@ -72,7 +72,7 @@ def turns(pictures: Sequence[Seen], tags: Sequence[Tag], lens: Lens, at_rest: Ar
         raise CameraError(
             f"{len(whole)} pictures show all tags of the strip, {FEWEST} are needed; of {len(pictures)}: {told}"
         )
-    seen = rays(pixels, lens) if len(whole) else pixels
+    seen = rays(pixels, lens)
     half = np.array([tag.size for tag in tags]) / 2 * 1e-3
     few = seen[whole[np.linspace(0, len(whole) - 1, min(FITTED, len(whole))).round().astype(int)]]
     scale = np.mean(lens.focal)

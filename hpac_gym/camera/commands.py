@@ -2,12 +2,13 @@
 
 import argparse
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from hpac_gym.camera import CameraError, opencv
-from hpac_gym.camera.detection import HD, Device, Lens, Seen, detect
+from hpac_gym.camera.detection import HD, Device, Lens, Seen, detect, load_lens
 from hpac_gym.camera.sheet import RULER, TAGS, draw
 from hpac_gym.command import add_json, say
 from hpac_gym.output import write_text
@@ -50,11 +51,13 @@ def run(options: argparse.Namespace) -> int:
         say(options.json, said, written=str(out), line_mm=RULER)
         return 0
     out = options.out or Path("camera.json")
+    before = load_lens(out) if out.exists() else Lens()
     frames = Device(options.calibrate, HD)
     try:
         lens, error = calibrated(frames)
     finally:
         frames.release()
+    lens = replace(lens, hand_board=before.hand_board, object_board=before.object_board)
     write_text(out, lens.to_json())
     said = f"focal lengths {lens.focal[0]:.1f} and {lens.focal[1]:.1f} pixels, error {error:.2f} pixels; written: {out}"
     say(options.json, said, focal=lens.focal, error=error, written=str(out))

@@ -25,6 +25,8 @@ Seen = dict[int, Array]
 """Corners of the tags in one picture, by id, in the order of `sheet.Tag.corners`, shape (4, 2)
 [pixels].
 """
+READS = 5
+"""Reads of a camera that fail in a row before it counts as gone (chosen)."""
 _Result = TypeVar("_Result")
 _EDGE_PART = (0.08, 0.92)
 """Part of an edge on which it is looked for."""
@@ -249,14 +251,20 @@ class Device:
         self._video = cv2.VideoCapture(int(name) if name.isdigit() else name)
         if not self._video.isOpened():
             raise CameraError(f"camera {name} cannot be opened")
+        self._reads = READS if name.isdigit() else 1
         if name.isdigit():
             self._video.set(cv2.CAP_PROP_FRAME_WIDTH, size[0])
             self._video.set(cv2.CAP_PROP_FRAME_HEIGHT, size[1])
 
     def read(self) -> np.ndarray | None:
-        """The next picture, shape (height, width) or (height, width, 3); None: there is no more."""
-        came, picture = self._video.read()
-        return picture if came else None
+        """The next picture, shape (height, width) or (height, width, 3); None: there is no more, or a
+        camera has failed `READS` times.
+        """
+        for _ in range(self._reads):
+            came, picture = self._video.read()
+            if came:
+                return picture
+        return None
 
     def release(self) -> None:
         """Let the camera go."""

@@ -9,6 +9,7 @@ import time
 import webbrowser
 from collections.abc import Callable
 from contextlib import redirect_stdout
+from threading import Event
 
 import numpy as np
 import viser
@@ -44,6 +45,7 @@ class HandPage:
     Attributes:
         address: URL of the page.
         sliders: the six sliders. lift: one for the wrist's height, not shown at first.
+        object_back: set when the button that asks for it is pressed.
     """
 
     def __init__(
@@ -60,7 +62,7 @@ class HandPage:
         with redirect_stdout(io.StringIO()):  # its banner
             self._server = viser.ViserServer("127.0.0.1", label="H-PAC hand", verbose=False)
         self.address = f"http://127.0.0.1:{self._server.get_port()}/"
-        self._back = False
+        self.object_back = Event()
         self._due = 0.0
         self._text_due = 0.0
         self._light()
@@ -147,7 +149,7 @@ class HandPage:
         self.free(not self._driven)
         self.lift = gui.add_slider("lift [m]", 0.0, 0.12, 0.005, 0.0, visible=False)
         self._again = gui.add_button("Put the object back")
-        self._again.on_click(lambda _: self._ask_back())
+        self._again.on_click(lambda _: self.object_back.set())
         with gui.add_folder("Show"):
             self._boxes = {
                 name: gui.add_checkbox(label, name == "goal", visible=name != "goal")
@@ -162,15 +164,6 @@ class HandPage:
         """Set the sliders of the five digits, less the one that turns the thumb."""
         for slider in self.sliders[:-1]:
             slider.value = angle
-
-    def _ask_back(self) -> None:
-        self._back = True
-
-    def wants_object_back(self) -> bool:
-        """Whether the button for it was pressed since the last question."""
-        wanted = self._back
-        self._back = False
-        return wanted
 
     def wanted(self) -> Array:
         """The servo angles of the sliders, shape (6,) [rad]."""

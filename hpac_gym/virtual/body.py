@@ -19,7 +19,7 @@ from hpac_gym.deploy.observer import Pose
 from hpac_gym.deploy.poses import Source
 from hpac_gym.envs import HandEnv
 from hpac_gym.model import DIGITS, synergy_from_servo
-from hpac_gym.model.checks import Array
+from hpac_gym.model.checks import Array, as_finite_vector
 from hpac_gym.physics.engine import SceneSetup, SceneState
 from hpac_gym.tasks.cameras import CameraNoise
 from hpac_gym.tasks.task import CONTROL_HZ, RUNNING
@@ -35,6 +35,8 @@ FAR = 0.5
 """Distance from the hand beyond which an object is put back [m]."""
 OPEN = 0.15
 """Largest true flexion of the servos of an open hand, with the zeros of a hidden one [rad]."""
+KEPT = 200
+"""Offsets that an arm remembers: of ten seconds, much more than it is late (chosen)."""
 NEVER = 1 << 62
 
 
@@ -43,10 +45,15 @@ class Path:
 
     def __init__(self) -> None:
         self._told: dict[int, Array] = {}
+        self._latest = -1
 
     def tell(self, time: float, offset: Array) -> None:
         """Take note of an offset, shape (3,) [m], for a time [s]."""
-        self._told[round(time * CONTROL_HZ)] = offset
+        step = round(time * CONTROL_HZ)
+        self._told[step] = offset
+        self._latest = max(self._latest, step)
+        if len(self._told) > KEPT:
+            del self._told[next(iter(self._told))]
 
     def at(self, time: float) -> Array:
         """The offset at a time [s]: a cubic through what was told, at rest before and after it."""
@@ -62,9 +69,9 @@ class Path:
 
     def _of(self, step: int) -> Array:
         """What was told for a step, or last before it."""
-        step = min(step, max(self._told))
-        while step not in self._told and step >= 0:
-            step -= 1
+        step = min(step, self._latest)
+        if step not in self._told:
+            step = max((told for told in self._told if told < step), default=-1)
         return self._told.get(step, np.zeros(3))
 
 
@@ -125,12 +132,18 @@ class Body:
         self._began_us = now_us if self._by_table else None
 
     def tell(self, told: Mapping[str, Any]) -> None:
-        """The arm is told where the wrist shall be; one with a table knows."""
+        """The arm is told where the wrist shall be; one with a table knows.
+
+        Raises:
+            ShapeError, KeyError, TypeError, OverflowError: It is no time and three finite numbers.
+        """
         if self._by_table:
             return
+        numbers = [1e6 * told["time"], *told["offset"]]
+        time_us, *offset = as_finite_vector(numbers, 4, "time and offset")
         if self._began_us is None:
-            self._began_us = self._at_us - 1e6 * told["time"] + 1e6 * LATE
-        self._path.tell(told["time"], np.array(told["offset"]))
+            self._began_us = self._at_us - time_us + 1e6 * LATE
+        self._path.tell(1e-6 * time_us, np.array(offset))
 
     def follow(self, now_us: int, pulses: Array, by_hand: Array | None = None) -> None:
         """Advance to a time [µs]. Servos look at their pulses, shape (6,) [ns], every 20 ms; without

@@ -101,7 +101,7 @@ def run(options: argparse.Namespace) -> int:
             from hpac_gym.view.page import HandPage
 
             hand.page = HandPage(
-                setup, ABOUT, stop=partial(_estop, hand, board.port), browser=not options.no_browser
+                setup, ABOUT, stop=partial(_estop, hand, board), browser=not options.no_browser
             )
             stack.callback(hand.page.close)
         try:
@@ -117,10 +117,10 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _estop(hand: Virtual, port: str) -> None:
+def _estop(hand: Virtual, board: HostBoard) -> None:
     """Stop the hand from the page's thread, as `hpac estop` does; the page tells what came of it."""
     try:
-        with closing(open_transport(port, lock=False)) as transport:
+        with closing(open_transport(board.port, lock=False)) as transport:
             stop(transport)
         hand.stopped = f"Stopped: fault estop until `hpac clear --port {hand.port}`. "
     except BridgeError as error:

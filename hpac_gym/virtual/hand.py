@@ -6,7 +6,8 @@ import json
 import select
 import socket
 import time
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -38,21 +39,29 @@ class Tracker:
 
     def __init__(self, path: Path) -> None:
         self._rng = np.random.default_rng(0)
-        try:
+        self._path = path
+        with self._told():
             self._file = path.open("w", encoding="utf-8", buffering=1)
+            print("time_s", *JOINT_COLUMNS, sep=",", file=self._file)
+
+    @contextmanager
+    def _told(self) -> Iterator[None]:
+        try:
+            yield
         except OSError as error:
-            raise OutputError(f"cannot write '{path}': {error.strerror}") from None
-        print("time_s", *JOINT_COLUMNS, sep=",", file=self._file)
+            raise OutputError(f"cannot write '{self._path}': {error.strerror}") from None
 
     def write(self, joint_pos: Array) -> None:
         """Write joint angles, shape (15,) [rad], with the camera's noise."""
         seen = joint_pos + CAMERA_NOISE * self._rng.standard_normal(len(joint_pos))
         row = [f"{angle:.5f}" for angle in seen]
-        print(f"{time.time():.4f}", *row, sep=",", file=self._file)
+        with self._told():
+            print(f"{time.time():.4f}", *row, sep=",", file=self._file)
 
     def close(self) -> None:
         """Close the file."""
-        self._file.close()
+        with suppress(OSError):  # of a row that was told when it was written
+            self._file.close()
 
 
 class Virtual:
@@ -152,7 +161,8 @@ class Virtual:
         """Show the hand on the page, whose sliders drive it while no program does."""
         from hpac_gym.view.shown import Shown
 
-        if self.page.wants_object_back():
+        if self.page.object_back.is_set():
+            self.page.object_back.clear()
             self.body.place(self.body.setup, state.horn[0])
         if self.page.due():
             driven = bool(pulses.any())
@@ -190,7 +200,7 @@ class Virtual:
                 if self._phase == "ready":
                     answer = json.dumps({arms.PACKET: arms.VERSION, "ready": True})
                     self._arm.sendto(answer.encode(), address)
-            except (OSError, ValueError, KeyError, TypeError):
+            except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError):
                 continue
 
     def _judge(self) -> None:

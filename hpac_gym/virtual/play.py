@@ -54,7 +54,8 @@ def run(options: argparse.Namespace) -> int:
             body.follow(round(1e6 * now), pulses_from_servo(servo))
             state = body.state()
             body.tidy_up(state)
-            if page.wants_object_back():
+            if page.object_back.is_set():
+                page.object_back.clear()
                 body.place(body.setup, state.horn[0])
             if page.due():
                 page.show(Shown.of_state(state, servo))

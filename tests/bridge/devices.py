@@ -4,14 +4,16 @@ from hpac_gym.bridge.frame import Frame, FrameSplitter, encode
 from hpac_gym.bridge.hands import VirtualTransport
 from hpac_gym.bridge.protocol import MESSAGES
 
-HELLO_OF_A_HAND = Frame(
-    "device_hello",
-    seq=1,
-    fields={
-        field.name: (0,) * field.count if field.count > 1 else 0
-        for field in MESSAGES["device_hello"].fields
-    },
-)
+
+def of_zeros(name, **fields):
+    """A message whose other fields are zero."""
+    zeros = {
+        part.name: (0,) * part.count if part.count > 1 else 0 for part in MESSAGES[name].fields
+    }
+    return Frame(name, 1, 0, zeros | fields)
+
+
+HELLO_OF_A_HAND = of_zeros("device_hello")
 
 
 def of_another_version(_data):

@@ -30,9 +30,10 @@ from hpac_gym.bridge.commands import connector, send_and_hold
 from hpac_gym.bridge.doctor import diagnose
 from hpac_gym.bridge.frame import Frame, encode
 from hpac_gym.bridge.hands import VirtualTransport, config_of, default_config
+from hpac_gym.bridge.protocol import Fault, State
 from hpac_gym.errors import HpacError, WorkspaceError
 from hpac_gym.model import HPAC, SERVOS, ServoCommand, hand_to_toml
-from tests.bridge.devices import Device, of_another_version, refusing, without_status
+from tests.bridge.devices import Device, of_another_version, of_zeros, refusing, without_status
 from tests.processes import wait_for
 
 
@@ -304,6 +305,27 @@ def test_an_estop_that_nobody_confirms_says_what_to_do(monkeypatch):
         run("estop", "--port", "virtual")
     with pytest.raises(PortError, match="switch the servo supply off: /dev/does_not_exist"):
         run("estop", "--port", "/dev/does_not_exist")
+
+
+@pytest.mark.parametrize(
+    ("attached", "fault", "confirms"),
+    [
+        (0, Fault.none, False),
+        (0, Fault.watchdog, False),
+        (1, Fault.estop, False),
+        (0, Fault.estop, True),
+    ],
+)
+def test_a_status_confirms_an_estop_by_its_fault_and_no_pulses(attached, fault, confirms):
+    """Nothing else of the hand arrives; an idle hand whose ESTOP is lost has no pulses either."""
+    state = State.fault if fault else State.idle
+    said = encode(of_zeros("device_status", state=state, fault=fault, attached=attached))
+    device = Device(VirtualHand(), lambda data: said)
+    if confirms:
+        stop.stop(device)
+    else:
+        with pytest.raises(LinkTimeout, match="no answer to estop for 3 s"):
+            stop.stop(device)
 
 
 def test_a_hand_file_that_cannot_be_read_does_not_delay_an_estop(host_board, tmp_path, capsys):

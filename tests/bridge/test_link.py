@@ -25,8 +25,10 @@ from hpac_gym.bridge import (
     servo_from_pulses,
 )
 from hpac_gym.bridge.frame import Frame, encode
+from hpac_gym.bridge.gentle import GENTLE, release
 from hpac_gym.bridge.hands import (
     VirtualTransport,
+    config_of,
     default_config,
 )
 from hpac_gym.bridge.limits import (
@@ -424,6 +426,37 @@ def test_a_hand_that_is_slower_than_the_board_is_refused(virtual_hand, calibrate
         with pytest.raises(HandshakeError, match="limits"):
             link.arm()
         assert link.state == "idle"
+
+
+@pytest.mark.parametrize("rate_limit", [0.1, 0.3, HPAC.rate_limit])
+@pytest.mark.parametrize("bent", [0.0, 0.2])
+def test_a_closed_hand_of_any_limits_opens_slowly_after_an_error(rate_limit, bent):
+    """Also where that takes longer than a move may, and where 0 rad is out of its range."""
+    workspace = HPAC.workspace | {"index_mcp": (bent, HPAC.workspace["index_mcp"][1])}
+    hand = dataclasses.replace(HPAC, rate_limit=rate_limit, workspace=workspace)
+    course = []
+    board = VirtualHand(
+        config=config_of(hand),
+        on_pulses=lambda now_us, pulses: pulses.all() and course.append((now_us, *pulses)),
+    )
+    rest = np.clip(0.0, hand.servo_min, hand.servo_max)
+    with HandLink(board.connect, hand=hand) as link:
+        link.arm()
+        for share in (0.2, 0.4):
+            target = rest + share * (hand.servo_max - rest)
+            link.move(ServoCommand(target, 1.1 * move_duration(rest, target, hand)))
+        link.wait()
+        course.clear()
+        release(link, ZeroDivisionError())
+        assert link.state == "idle"
+    assert not board.pulses().any()
+    now_us, *pulses = np.array(course).T
+    servo = servo_from_pulses(np.transpose(pulses), hand)
+    np.testing.assert_allclose(servo[0], target, atol=2e-4)
+    np.testing.assert_allclose(servo[-1], rest, atol=2e-4)
+    window = 100
+    speed = np.abs(servo[window:] - servo[:-window]).max(axis=1) / np.diff(now_us).mean() / window
+    assert 1e6 * speed.max() < 1.05 * GENTLE * rate_limit
 
 
 def test_a_trim_that_its_field_cannot_tell_is_a_config_fault_before_it_is_another_table():

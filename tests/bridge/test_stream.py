@@ -254,6 +254,20 @@ def test_moves_are_answered_again_after_a_stream(virtual_hand):
             link.move(ServoCommand(HPAC.servo_max, 0.05))
 
 
+def test_a_last_command_that_is_refused_late_is_the_stream_s_alone():
+    hand = VirtualHand()
+    with HandLink(lambda: Bad(hand, latency=0.12)) as link:
+        link.arm(watchdog=1.0)
+        stream = link.stream()
+        link.exchange.transport.armed = True
+        stream._share = 3.0
+        stream.send(HPAC.servo_max)
+        stream.close()
+        link.sleep(0.5)
+        link.exchange.transport.armed = False
+    assert stream.counts.refused == 1
+
+
 def test_a_hand_that_may_be_at_many_places_is_led_away_from_no_target(virtual_hand):
     """They may be further apart than a move leads, once a hot hand is slower."""
     with HandLink(virtual_hand.connect) as link:

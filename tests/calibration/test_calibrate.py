@@ -45,6 +45,27 @@ def test_without_a_second_sweep_the_first_line_says_what_it_is(record, calibrate
     assert "Remark" not in said.out
 
 
+def test_a_place_that_cannot_be_written_to_is_told_before_the_fit(
+    nominal_record, calibrate, tmp_path, monkeypatch
+):
+    monkeypatch.delattr("hpac_gym.calibration.calibrate.identify")
+    (tmp_path / "hand.toml").mkdir()
+    status, said = calibrate(nominal_record)
+    assert (status, said.out) == (2, "")
+    assert f"error: cannot write '{tmp_path / 'hand.toml'}': it is a folder" in said.err
+
+
+def test_a_report_that_cannot_be_written_leaves_the_hand_file_as_it_was(
+    nominal_record, calibrate, tmp_path
+):
+    (tmp_path / "hand-report" / "report.json").mkdir(parents=True)
+    (tmp_path / "hand.toml").write_text("as it was")
+    status, said = calibrate(nominal_record)
+    assert (status, said.out) == (2, "")
+    assert f"error: cannot write '{tmp_path / 'hand-report' / 'report.json'}'" in said.err
+    assert (tmp_path / "hand.toml").read_text() == "as it was"
+
+
 def test_a_sweep_is_no_check_on_itself(record, calibrate, tmp_path):
     write_sweep(tmp_path / "second.csv", record)
     status, said = calibrate(record, "--check", str(tmp_path / "second.csv"))

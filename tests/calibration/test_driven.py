@@ -3,6 +3,9 @@ simulated hand → rendered pictures of its tags → record. The hand ends open 
 happens, and what was recorded is kept.
 """
 
+import io
+import json
+import sys
 import time
 from dataclasses import replace
 from functools import partial
@@ -16,6 +19,7 @@ from experiments.hidden import LAWS, hidden_hands
 from experiments.rig import Rig
 from experiments.strips import STRIP_LENS, Body
 from hpac_gym.bridge import FaultError, HandLink, VirtualHand, servo_from_pulses
+from hpac_gym.bridge.hands import config_of
 from hpac_gym.calibration import driven
 from hpac_gym.calibration.driven import LEAST_SLACK, Eye
 from hpac_gym.calibration.driver import Driver
@@ -26,6 +30,7 @@ from hpac_gym.calibration.record import (
     FLEXING,
     REST,
     RecordError,
+    concatenate,
     read_sweep,
     write_sweep,
 )
@@ -46,11 +51,12 @@ RATE_HZ = 10.0
 class Rigged:
     """A hand on a virtual wire, in its stand before the camera."""
 
-    def __init__(self, servo, seed=1):
+    def __init__(self, servo, seed=1, hand=HPAC):
         self.body = Body(Rig(), seed)
         self.body.mount(servo)
         self.pulses = []
-        self.hand = VirtualHand(on_pulses=self.on_pulses)
+        self.swept = hand
+        self.hand = VirtualHand(config=config_of(hand), on_pulses=self.on_pulses)
         self.segment = Segment(servo)
 
     def on_pulses(self, now_us, pulses):
@@ -58,8 +64,8 @@ class Rigged:
         self.pulses.append(pulses)
 
     def sweep(self, look=None, protocol=SHORT):
-        with HandLink(self.hand.connect) as link:
-            Driver(link, look or self.body.look, HPAC, protocol, RATE_HZ).sweep(self.segment)
+        with HandLink(self.hand.connect, hand=self.swept) as link:
+            Driver(link, look or self.body.look, self.swept, protocol, RATE_HZ).sweep(self.segment)
         return self
 
     def errors(self):
@@ -152,9 +158,15 @@ def test_neighbours_that_would_hide_the_tags_are_flexed_meanwhile():
     assert (servo[:, [0, 3, 4, 5]] == 0).all()
 
 
-def test_at_rest_there_are_no_pulses_but_for_the_thumb():
+BENT = replace(HPAC, rate_limit=0.4, workspace=HPAC.workspace | {"ring_mcp": (0.1, 1.2)})
+"""A slow hand whose ring finger does not open to 0 rad."""
+
+
+@pytest.mark.parametrize("hand", [HPAC, BENT], ids=["nominal", "bent"])
+def test_at_rest_there_are_no_pulses_but_for_the_thumb(hand):
     for servo, pulsed in (("index_mcp", False), ("thumb_mp", True)):
-        rigged = Rigged(servo)
+        rigged = Rigged(servo, hand=hand)
+        rigged.body._sim = None  # no physics: what the servos are told is enough
         resting = []
 
         def look(rigged=rigged, resting=resting):
@@ -165,6 +177,9 @@ def test_at_rest_there_are_no_pulses_but_for_the_thumb():
         at_rest = [phase == REST for phase, _ in rigged.segment.labels]
         assert {on for on, rest in zip(resting, at_rest, strict=True) if rest} == {pulsed}
         assert not rigged.pulses[-1].any()
+        others = np.delete(rigged.segment.sweep().servo, [SERVO_INDEX[servo], 5], axis=1)
+        rest = np.delete(hand.servo_min, [SERVO_INDEX[servo], 5])
+        np.testing.assert_allclose(others, np.tile(rest, (len(others), 1)), atol=1e-3)
 
 
 # --- safety
@@ -346,6 +361,7 @@ def test_angles_of_another_program_are_joined_by_the_time_of_the_day(tmp_path):
         ("", "no rows with time_s and any of joint_thumb_ip_rad"),
         ("time_s,angle\n0,1\n", "no rows with time_s and any of"),
         ("time_s,joint_index_mcp_rad\n0,one\n", "could not convert"),
+        (f"time_s,joint_index_mcp_rad\n{'9' * 200_000},0\n", "field larger than field limit"),
         ("time_s,joint_index_mcp_rad\n1,0\n0,0\n", "times must increase"),
         ("time_s,joint_index_mcp_rad\n1,90\n", "within ±π rad"),
         ("time_s,joint_index_mcp_rad\n1,0", "no rows with time_s"),
@@ -388,6 +404,18 @@ def test_segments_of_other_servos_and_trials_stay_in_the_file(tmp_path, index):
     record = read_sweep(path)
     assert len(record) == 2 * len(index.segment.time)
     assert (record.swept == SERVO_INDEX["index_mcp"]).all()
+
+
+def test_a_segment_stands_where_the_old_one_stood(tmp_path, index):
+    """Between two others of one servo and trial, they would become one without it."""
+    path = tmp_path / "sweep.csv"
+    between = index.segment
+    around = replace(index.segment, trial=1)
+    parts = [around.sweep(), between.sweep(), around.sweep()]
+    write_sweep(path, concatenate(parts))
+    write_sweep(path, added(path, between))
+    record = read_sweep(path)
+    assert [int(record.trial[rows[0]]) for rows in record.segments()] == [1, 0, 1]
 
 
 @pytest.fixture
@@ -505,6 +533,55 @@ def test_an_interrupted_sweep_leaves_the_record_as_it_was(wired, tmp_path, capsy
     assert not wired.hand.pulses().any()
 
 
+class Terminal(io.StringIO):
+    """What a person types."""
+
+    def isatty(self):
+        return True
+
+
+@pytest.mark.parametrize(
+    ("typed", "status"),
+    [(Terminal("\n"), 0), (Terminal(), 2), (None, 2)],
+    ids=["Enter", "^D", "none"],
+)
+def test_a_person_is_asked_on_standard_error(wired, tmp_path, capsys, monkeypatch, typed, status):
+    lens = tmp_path / "camera.json"
+    lens.write_text(STRIP_LENS.to_json())
+    monkeypatch.setattr(sys, "stdin", typed)
+    words = [*WORDS, "--camera", f"0,{lens}", "--out", str(tmp_path), "--json"]
+    assert hpac.main(words) == status
+    said = capsys.readouterr()
+    asked, *_, last = said.err.splitlines()
+    assert asked.startswith(
+        "index_mcp: tags 11 palm, 12 index_mcp, 13 index_pip, 14 index_dip; the"
+    )
+    if status:
+        assert (said.out, said.err.count("\n")) == ("", 2)
+        assert last == "error: standard input has ended: nobody answers"
+        assert not np.any(wired.pulses)
+    else:
+        assert json.loads(said.out)["record"] == str(tmp_path / "sweep.csv")
+
+
+class Closing(io.StringIO):
+    """Standard error that is closed when the misfit of the tags is told."""
+
+    def write(self, text):
+        if "its tags fit" in text:
+            raise BrokenPipeError
+        return super().write(text)
+
+
+def test_a_complete_sweep_is_recorded_whoever_hears_of_it(wired, tmp_path, monkeypatch):
+    lens = tmp_path / "camera.json"
+    lens.write_text(STRIP_LENS.to_json())
+    monkeypatch.setattr(sys, "stderr", Closing())
+    with pytest.raises(BrokenPipeError):
+        driven.record("any", tmp_path / "sweep.csv", camera=f"0,{lens}", servos=["index_mcp"])
+    assert set(read_sweep(tmp_path / "sweep.csv").swept) == {SERVO_INDEX["index_mcp"]}
+
+
 def test_a_wrong_strip_is_not_recorded_and_told(wired, tmp_path, capsys):
     wired.body.exchanged = {0: 3, 3: 0}
     lens = tmp_path / "camera.json"
@@ -521,8 +598,9 @@ def test_a_sweep_without_eyes_is_refused_before_anything_moves(tmp_path, capsys)
     assert "--port needs what measures the joints: --camera or --angles" in capsys.readouterr().err
     with pytest.raises(SystemExit):
         hpac.main(["sweep", "--port", "any", "--record", "x.csv"])
-    assert hpac.main(["sweep", "--record", "x.csv", "--servo", "index_mcp"]) == 2
-    assert "--servo and --points are of --port, not of --record" in capsys.readouterr().err
+    for words in (["--servo", "index_mcp"], ["--trial", "0"]):
+        assert hpac.main(["sweep", "--record", "x.csv", *words]) == 2
+        assert "--points and --trial are of --port, not of --record" in capsys.readouterr().err
     (tmp_path / "sweep.csv").write_text("nonsense\n")
     words = [*WORDS, "--angles", "x.csv", "--out", str(tmp_path)]
     assert hpac.main(words) == 2

@@ -52,16 +52,18 @@ def test_a_cutoff_beyond_half_of_the_rate_is_told(cutoff):
 def test_a_short_or_uneven_record_is_told():
     with pytest.raises(RecordError, match="too short"):
         low_pass(np.zeros(20), RATE, 1.0)
-    time = np.arange(50) / RATE
-    assert sampling_rate(time) == pytest.approx(RATE)
-    assert sampling_rate(np.delete(time, [10, 20, 21])) == pytest.approx(RATE)
+    even = record(np.zeros(100))
+    assert sampling_rate(even) == pytest.approx(RATE)
+    assert sampling_rate(even[np.delete(np.arange(100), [10, 20, 21])]) == pytest.approx(RATE)
     with pytest.raises(RecordError, match="at most 5 dropped in a row"):
-        sampling_rate(np.delete(time, np.arange(20, 27)))
-    time[30:] += 0.01
+        sampling_rate(even[np.delete(np.arange(100), np.arange(20, 27))])
     with pytest.raises(RecordError, match="not evenly spaced"):
-        sampling_rate(time)
-    with pytest.raises(RecordError, match="not evenly spaced"):
-        sampling_rate(time[:1])
+        sampling_rate(even[:1])
+    even.time[30:] += 0.01
+    with pytest.raises(
+        RecordError, match=r"^trial 0, sweep of index_mcp: samples from 0 s to 4\.96 s are not even"
+    ):
+        processed(even)
 
 
 def smooth_sweep() -> np.ndarray:

@@ -81,6 +81,11 @@ def test_columns_may_come_in_any_order_beside_others_and_comments(tmp_path, line
     assert (read(tmp_path, reordered).servo == read(tmp_path, lines).servo).all()
 
 
+def test_a_cell_may_be_quoted(tmp_path, lines):
+    quoted = [lines[0], *(",".join(f'"{cell}"' for cell in line.split(",")) for line in lines[1:])]
+    assert (read(tmp_path, quoted).servo == read(tmp_path, lines).servo).all()
+
+
 def test_segments_are_what_belongs_together_in_time():
     sweep = concatenate([made_up_sweep(1), made_up_sweep(1, trial=1), made_up_sweep(4, trial=1)])
     assert [len(rows) for rows in sweep.segments()] == [30, 30, 30]
@@ -132,6 +137,8 @@ CELL_FAULTS = [
         "closing",
         r"column phase, row 9: 'closing' is not one of rest, flexion, extension",
     ),
+    ("trial", 9, '"0', r"row 9 has 1 cells, the header 26"),
+    ("trial", 9, "9" * 200_000, "field larger than field limit"),
     ("point", 9, "1.5", r"column point, row 9: 1\.5 is not a whole number"),
     ("time_s", 9, "0.1", r"column time_s, row 9: 0\.1 s does not follow 0\.3 s"),
 ]

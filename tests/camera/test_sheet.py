@@ -11,10 +11,11 @@ import pytest
 import hpac
 from experiments.pictures import Piece, Pinhole
 from hpac_gym.camera import CameraError, commands
-from hpac_gym.camera.detection import HD, Lens, detect, load_lens
+from hpac_gym.camera.detection import HD, READS, Device, Lens, detect, load_lens
 from hpac_gym.camera.sheet import CHAINS, HAND, OBJECT, PAGE, STRIPS, TAGS, draw, points
 from hpac_gym.model import JOINTS, SERVOS
 from hpac_gym.output import OutputError
+from tests.options import refused
 
 
 @pytest.fixture(scope="module")
@@ -115,6 +116,59 @@ def test_pictures_of_the_sheet_give_the_camera(tmp_path, capsys, monkeypatch):
     assert lens.focal == pytest.approx((930, 930), rel=0.005)
     assert lens.centre == pytest.approx((639.5, 359.5), abs=5)
     assert lens.size == HD
+
+
+def test_another_calibration_keeps_where_the_owner_put_the_boards(tmp_path, monkeypatch):
+    monkeypatch.setattr(commands, "Device", lambda *_: Turned(40))
+    path = tmp_path / "camera.json"
+    boards = {"hand_board": (0, 0.04, -0.03, 0, 0, 0, 1), "object_board": (0, 0, 0.01, 0, 0, 0, 1)}
+    path.write_text(Lens(focal=(500.0, 500.0), **boards).to_json())
+    assert hpac.main(["tags", "--calibrate", "0", "--out", str(path)]) == 0
+    lens = load_lens(path)
+    assert lens.focal == pytest.approx((930, 930), rel=0.005)
+    assert (lens.hand_board, lens.object_board) == tuple(boards.values())
+
+
+def test_a_file_that_is_no_camera_s_is_refused_before_the_camera_is_opened(
+    tmp_path, capsys, monkeypatch
+):
+    monkeypatch.delattr(commands, "Device")
+    path = tmp_path / "tags.pdf"
+    path.write_text("the sheet")
+    assert f"camera {path}: " in refused(
+        capsys, lambda: hpac.main(["tags", "--calibrate", "0", "--out", str(path)])
+    )
+    assert path.read_text() == "the sheet"
+
+
+class Video:
+    """OpenCV's, of reads that fail or not."""
+
+    def __init__(self, came):
+        self._came = iter(came)
+
+    def isOpened(self):
+        return True
+
+    def set(self, *_):
+        pass
+
+    def read(self):
+        came = next(self._came)
+        return came, np.zeros(HD[::-1]) if came else None
+
+
+@pytest.mark.parametrize(
+    ("name", "failed", "goes_on"),
+    [("0", READS - 1, True), ("0", READS, False), ("film.avi", 1, False)],
+)
+def test_a_live_camera_may_fail_a_few_times_and_the_end_of_a_video_is_its_end(
+    monkeypatch, name, failed, goes_on
+):
+    monkeypatch.setattr(cv2, "VideoCapture", lambda _: Video([True] + [False] * failed + [True]))
+    device = Device(name)
+    assert device.read() is not None
+    assert (device.read() is not None) == goes_on
 
 
 def test_the_same_picture_again_calibrates_nothing():

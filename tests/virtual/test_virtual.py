@@ -6,10 +6,10 @@ import signal
 import socket
 import subprocess
 import sys
-import time
 from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
+from threading import Event
 
 import numpy as np
 import pytest
@@ -21,12 +21,13 @@ from hpac_gym.deploy.episode import Log, run_episode
 from hpac_gym.deploy.observer import Observer
 from hpac_gym.evaluation.environment import make_env
 from hpac_gym.model import ServoCommand
+from hpac_gym.output import OutputError
 from hpac_gym.policies.loading import load_policy
 from hpac_gym.registration import GRASP, GRASP_ANY
 from hpac_gym.tasks.task import RUNNING, SUCCESS
-from hpac_gym.virtual.body import LATCH_US, LATE, Body, LockStep, Path as WristPath
+from hpac_gym.virtual.body import KEPT, LATCH_US, LATE, Body, LockStep, Path as WristPath
 from hpac_gym.virtual.commands import _estop
-from hpac_gym.virtual.hand import Virtual
+from hpac_gym.virtual.hand import Tracker, Virtual
 from hpac_gym.virtual.scene import CAN, scene
 from hpac_gym.virtual.wire import BadTransport, Faults, Way
 from tests.options import refused
@@ -85,11 +86,11 @@ class Page:
 
     said = ""
 
+    def __init__(self):
+        self.object_back = Event()
+
     def wanted(self):
         return np.zeros(6)
-
-    def wants_object_back(self):
-        return False
 
     def due(self):
         return True
@@ -116,7 +117,7 @@ def test_the_page_tells_what_came_of_its_red_button_until_a_program_drives_again
                 link.clear()
                 link.arm(watchdog=2.0)
                 assert said() == "A program drives the hand. "
-                _estop(hand, board.port)
+                _estop(hand, board)
                 return said()
 
         assert said() == "The sliders drive the hand. "
@@ -124,10 +125,37 @@ def test_the_page_tells_what_came_of_its_red_button_until_a_program_drives_again
             drive() == drive() == f"Stopped: fault estop until `hpac clear --port {board.port}`. "
         )
         board.process.send_signal(signal.SIGSTOP)
-        _estop(hand, board.port)
+        _estop(hand, board)
         assert said().startswith("Stop NOT CONFIRMED: switch the supply off. no answer to estop")
         assert hand.page.is_free
         board.process.send_signal(signal.SIGCONT)
+
+
+def test_a_page_stops_a_board_that_has_restarted_at_another_port(env):
+    with HostBoard() as board, closing(Virtual(Body(env, 3), board, None, 0, 0)) as hand:
+        before = board.port
+        board.__exit__()
+        occupied = os.openpty()
+        board.__enter__()
+        assert board.port != before
+        _estop(hand, board)
+        assert hand.stopped.startswith("Stopped: fault estop")
+        for end in occupied:
+            os.close(end)
+
+
+def test_the_page_s_button_puts_the_object_back_once(env):
+    with HostBoard() as board, closing(Virtual(Body(env, 3), board, None, 0, 0)) as hand:
+        hand.page = Page()
+        setup = hand.body.setup
+        hand.body.place(replace(setup, position=setup.position + np.array([0.0, 0.0, 0.03])))
+        hand.body.setup = setup
+        hand.page.object_back.set()
+        for _ in range(3):
+            hand.turn()
+        start = Body(env, 3, setup).state().object_pos[0]
+        assert not hand.page.object_back.is_set()
+        assert np.linalg.norm(hand.body.state().object_pos[0] - start) < 0.01
 
 
 def test_what_is_typed_against_a_virtual_hand_holds_the_object(tmp_path):
@@ -191,6 +219,7 @@ def test_a_board_that_restarts_when_its_port_is_opened_is_reached_over_a_bad_wir
         (["--env", GRASP_ANY, "--grasp", "rod"], f"--grasp and --object are of {GRASP}"),
         (["--arm-port", "99999"], "UDP port 99999"),
         (["--heat", "101"], "--heat 101 % must be at most 100 %"),
+        (["--angles", "/dev/full"], "cannot write '/dev/full': No space left on device"),
     ],
 )
 def test_wrong_words_are_one_line(words, says, capsys):
@@ -331,6 +360,24 @@ def test_the_arm_follows_smoothly_what_it_is_told():
     assert not path.at(-0.1).any()
 
 
+def test_an_arm_forgets_what_it_was_told_long_ago():
+    path = WristPath()
+    for step in range(72_000):  # an hour
+        path.tell(step / 20, np.array([0.0, 0.0, step % 100]))
+    assert len(path._told) <= KEPT
+    assert path.at(3_599.9)[2] == pytest.approx(98.0)
+    assert path.at(9_999.9)[2] == 99.0
+
+
+def test_a_disk_that_becomes_full_is_told_with_the_file(tmp_path):
+    tracker = Tracker(tmp_path / "angles.csv")
+    tracker._file.close()
+    tracker._file = open("/dev/full", "w", buffering=1)  # noqa: SIM115 - by close()
+    with pytest.raises(OutputError, match=r"cannot write '.*angles\.csv': No space left on device"):
+        tracker.write(np.zeros(15))
+    tracker.close()
+
+
 def test_a_body_lifts_its_wrist_when_it_is_told_and_stands_again_after_the_episode(env):
     body = Body(env, 0, scene(env, GRASP, None))
     rest = pulses_from_servo(np.zeros(6))
@@ -414,22 +461,42 @@ def test_a_wire_loses_damages_and_delays_whole_frames():
     assert len(order) == 49
 
 
-def test_what_is_no_packet_moves_no_arm():
-    with running() as (process, _, words):
-        address = words[-1].split(":")
-        sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        sender.connect((address[1], int(address[2])))
-        sender.settimeout(5)
-        for wrong in (
-            b"\xff",
-            b"{}",
-            b"[]",
-            b'{"hpac_arm": 2}',
-            b'{"hpac_arm": 1, "phase": "lift"}',
-        ):
-            sender.send(wrong)
-        sender.send(b'{"hpac_arm": 1, "phase": "ready"}')
-        assert json.loads(sender.recv(4096)) == {"hpac_arm": 1, "ready": True}
-        time.sleep(0.1)
-        assert process.poll() is None
-        sender.close()
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        b"\xff",
+        b"{}",
+        b"[]",
+        b"[" * 4000,
+        b'{"hpac_arm": 2}',
+        b'{"hpac_arm": 1, "phase": "lift"}',
+        *(
+            f'{{"hpac_arm": 1, "phase": "lift", "time": {at}, "offset": {offset}}}'.encode()
+            for at, offset in (
+                ("Infinity", "[0, 0, 0]"),
+                ("NaN", "[0, 0, 0]"),
+                ("1e308", "[0, 0, 0]"),
+                ("1" * 400, "[0, 0, 0]"),
+                ('"soon"', "[0, 0, 0]"),
+                ("1", "[0, 0]"),
+                ("1", '["a", "b", "c"]'),
+                ("1", "[[0], [0], [0]]"),
+                ("1", "[NaN, 0, 0]"),
+                ("1", "7"),
+            )
+        ),
+    ],
+    ids=range(16),
+)
+def test_what_is_no_packet_moves_no_arm(env, wrong):
+    with HostBoard() as board, closing(Virtual(Body(env, 3), board, None, 0, 0)) as hand:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as program:
+            program.connect(("127.0.0.1", hand.arm_port))
+            program.send(b'{"hpac_arm": 1, "phase": "ready"}')
+            program.send(wrong)
+            hand._hear(0)
+            program.settimeout(5)
+            assert json.loads(program.recv(4096)) == {"hpac_arm": 1, "ready": True}
+        assert hand.body._began_us is None
+        assert hand.body._path._told == {}
+        hand.turn()
