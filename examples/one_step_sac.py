@@ -73,8 +73,8 @@ def train(s: Settings) -> Path:
     seen = np.zeros((s.episodes + s.num_envs, observed), np.float32)
     decisions = np.zeros((len(seen), decided), np.float32)
     survived = np.zeros(len(seen), np.int64)
-    count = 0
-    updates = 0
+    random_episodes = min(s.random_episodes, s.episodes)
+    count = updates = 0
 
     def scaled(rows: np.ndarray) -> torch.Tensor:
         return torch.from_numpy(np.clip((rows - mean) / scale, -8, 8))
@@ -124,10 +124,10 @@ def train(s: Settings) -> Path:
             if count % 500 == 0:
                 recent = (survived[count - 500 : count] == len(phases)).mean()
                 print(f"{count:,} episodes, {recent:.0%} of the last 500 succeeded", flush=True)
-        if count >= s.random_episodes and not updates:
+        if count >= random_episodes and not updates:
             mean = seen[:count].mean(0)
             scale = np.maximum(seen[:count].std(0), 0.05)
-        while s.random_episodes <= count and updates < count * s.updates_per_episode:
+        while random_episodes <= count and updates < count * s.updates_per_episode:
             update(decided * s.target_entropy * min(count / s.episodes, 1.0))
             updates += 1
     envs.close()

@@ -13,7 +13,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import gymnasium
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -27,7 +26,7 @@ from hpac_gym.calibration.record import RecordError, Sweep
 from hpac_gym.command import command_parser, run, whole_number
 from hpac_gym.envs import GRASPS
 from hpac_gym.envs.models import FILES
-from hpac_gym.evaluation.grasps import run_trial
+from hpac_gym.evaluation.evaluate import run_block
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import paired_difference, success_counts
 from hpac_gym.evaluation.workers import shared
@@ -38,7 +37,7 @@ from hpac_gym.model.maps import CommandMap
 from hpac_gym.model.settled import settled_joints_from_servo
 from hpac_gym.output import markdown, writable_file, write_text
 from hpac_gym.physics.stand import HAND
-from hpac_gym.policies.loading import load_policy
+from hpac_gym.registration import GRASP
 
 SEED = 33_000
 """First seed of the hands; no other experiment uses it."""
@@ -156,13 +155,10 @@ def trials(
     rows = []
     for name, model in models(hand, file).items():
         for grasp in grasps:
-            with gymnasium.make(
-                "hpac_gym:HPAC-Grasp-v0", grasp=grasp, engine=engine, hand=hand, model=model
-            ) as env:
-                policy = load_policy("scripted", env)
-                held = run_trial(env, policy, HELD_OUT_SEED + seed).success
+            options = {"grasp": grasp, "engine": engine, "hand": hand, "model": model}
+            ((episode,),) = run_block(["scripted"], GRASP, options, [HELD_OUT_SEED + seed])
             error = posture_error_deg(hand, model, GRASPS[grasp].closed)
-            rows.append((engine, population, grasp, name, seed, held, error))
+            rows.append((engine, population, grasp, name, seed, episode.success, error))
     return rows
 
 

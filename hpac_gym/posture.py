@@ -3,6 +3,7 @@
 import argparse
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -152,7 +153,8 @@ def take(item: Posture, hand: Hand = HPAC, visuals: bool = False) -> HandOnStand
 
     In a gesture the thumb turns in front of the palm, the fingers close, and the thumb closes over
     them, as a person makes a fist."""
-    sim = HandOnStand(hand, HAND, WORLD, UPRIGHT, visuals)
+    settings = replace(HAND, servo_zero=hand.calibration.servo_zero)
+    sim = HandOnStand(hand, settings, WORLD, UPRIGHT, visuals)
     sim.reset(np.zeros(len(SERVOS)))
     command = command_to(item, hand)
     if item.kind == "gesture":

@@ -38,7 +38,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--policy", help=NAMES)
     parser.add_argument("--normalize", metavar="FILE", help=NORMALIZE)
     add_env_options(parser, "id, also module:My-v0 (default: a policy file's own)")
-    parser.set_defaults(engine="mujoco")
     parser.add_argument("--seed", type=whole_number(0), default=HELD_OUT_SEED, help="of the first")
     parser.add_argument("--episodes", type=whole_number(1), help=HOW_MANY)
     parser.add_argument(

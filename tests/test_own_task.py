@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 
 import gymnasium
@@ -69,6 +70,19 @@ def to_the_end(env: gymnasium.Env) -> Iterator[tuple]:
 def test_the_page_is_short_and_a_task_from_nothing_fits_on_a_screen():
     assert len(PAGE.split()) <= 500
     assert len(FRESH.splitlines()) <= 50
+
+
+class Unpaid(Grasp):
+    def _rewards(self):
+        return ()
+
+
+def test_a_task_without_reward_terms_pays_nothing():
+    with HandEnv(Unpaid()) as env, closing(HandVectorEnv(Unpaid(), 2)) as envs:
+        env.reset(seed=0)
+        envs.reset(seed=0)
+        assert env.step(np.zeros(6))[1] == 0.0
+        assert envs.step(np.zeros((2, 6)))[1].tolist() == [0.0, 0.0]
 
 
 def test_a_changed_task_has_its_reward_term_its_sampling_and_its_entry():

@@ -43,6 +43,17 @@ def test_in_opposition_the_pads_are_within_2_mm_of_touching(finger):
     assert np.linalg.norm(pad("thumb", joint_pos) - pad(finger, joint_pos)) < 2e-3
 
 
+def test_the_hand_that_is_drawn_has_the_servo_zeros_of_its_model():
+    taken = []
+    for zero in (0.0, -0.12):
+        sim = posture_command.take(
+            posture("digit_2"), replace(HPAC, calibration=Calibration((*(zero,) * 5, 0.0)))
+        )
+        taken.append(sim.joint_pos)
+        sim.close()
+    np.testing.assert_allclose(*taken, atol=0.04)  # servos stop within their dead band
+
+
 @pytest.mark.parametrize("finger", ["index", "middle", "ring"])
 def test_opposition_targets_are_those_of_the_body(finger):
     """The posture file repeats the synergies of geometry.toml as joint angles; this compares the

@@ -5,14 +5,19 @@ import subprocess
 import sys
 import time
 import urllib.request
+from typing import ClassVar
 
+import gymnasium
+import numpy as np
 import pytest
+from gymnasium.envs.registration import EnvSpec
 
 import hpac
 from hpac_gym import progress
 from hpac_gym.policies.loading import shipped_for
 from hpac_gym.view.page import HandPage
 from tests.options import refused
+from tests.tiny_task import Tiny
 
 
 def test_a_trained_policy_is_shown_on_a_page():
@@ -80,6 +85,25 @@ def test_a_film_is_written(tmp_path, capsys, monkeypatch):
     assert len(imageio.mimread(path, memtest=False)) > 40
 
 
+class Filmed(Tiny):
+    """An environment of another package, which has no engine."""
+
+    metadata: ClassVar = {"render_modes": ["rgb_array"]}
+
+    def __init__(self, render_mode):
+        self.render_mode = render_mode
+
+    def render(self):
+        return np.full((32, 32, 3), 20 * self._count, np.uint8)
+
+
+def test_an_environment_of_another_package_is_filmed(tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(gymnasium.registry, "Filmed-v0", EnvSpec("Filmed-v0", Filmed))
+    words = ["--env", "tests.tiny_task:Filmed-v0", "--record", f"{tmp_path}/film.gif"]
+    assert hpac.main(["show", "--episodes", "1", *words]) == 0
+    assert "scripted on tests.tiny_task:Filmed-v0: 0 of 1" in capsys.readouterr().out
+
+
 def test_a_film_without_its_encoder_names_the_extra(tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     said = refused(capsys, lambda: hpac.main(["show", "--record", str(tmp_path / "film.mp4")]))
@@ -92,7 +116,7 @@ def test_a_film_without_its_encoder_names_the_extra(tmp_path, capsys, monkeypatc
         (["--record", "film.doc"], "--record 'film.doc' must end in .gif or .mp4"),
         (["--policy", "none.hpac"], "no policy file 'none.hpac'"),
         (["--grasp", "none"], "no grasp 'none'"),
-        (["--env", "CartPole-v1"], "no environment 'CartPole-v1'"),
+        (["--env", "CartPole-v1"], "environment 'CartPole-v1' acts in Discrete(2): policies need"),
         (["--record", "/proc/none/film.gif"], "/proc/none"),
     ],
 )

@@ -51,7 +51,8 @@ class ObjectSpec:
             raise ValueError(
                 f"half extents, mass, friction and scale of {self} must be positive and finite"
             )
-        x, y, z = self.half_extents
+        x, y, z = map(float, self.half_extents)
+        object.__setattr__(self, "half_extents", (x, y, z))
         if (self.shape != "box" and x != y) or (self.shape == "sphere" and x != z):
             raise ValueError(f"half extents {self.half_extents} m do not fit a {self.shape}")
         if isinstance(self.model, str):

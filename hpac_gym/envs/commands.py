@@ -21,12 +21,12 @@ from hpac_gym.model import (
     streamed_servo,
 )
 from hpac_gym.model.checks import Array, as_bounded_array
+from hpac_gym.model.command import ACTION_TOLERANCE
 from hpac_gym.model.maps import CommandMap
 from hpac_gym.physics.engine import SceneSetup
 from hpac_gym.tasks.task import CONTROL_HZ
 
 Transmit = Callable[[ServoCommand], ServoCommand]
-_ACTION_TOLERANCE = 1e-6
 
 
 @dataclass(slots=True)
@@ -116,16 +116,17 @@ class Commands:
                 `gymnasium.wrappers.ClipAction`.
         """
         servos = actions[:, : len(SERVOS)]
+        flexing = self._flexing
         if self._map.inverts_files:
             change = servos - self.last_action
-            self._flexing = np.where(change == 0, self._flexing, change > 0)
+            flexing = np.where(change == 0, flexing, change > 0)
         try:
-            target = self._map.servo_from_action(servos, self._flexing)
+            target = self._map.servo_from_action(servos, flexing)
             if self._choices:
                 one = np.ones(len(self._choices))
                 chosen = actions[:, len(SERVOS) :]
                 as_bounded_array(
-                    chosen, -one, one, self._choices, "action", "(no unit)", _ACTION_TOLERANCE
+                    chosen, -one, one, self._choices, "action", "(no unit)", ACTION_TOLERANCE
                 )
         except WorkspaceError as error:
             if np.isnan(actions).any():
@@ -133,6 +134,7 @@ class Commands:
             raise WorkspaceError(
                 f"{error}; wrap in gymnasium.wrappers.ClipAction, which clips it"
             ) from None
+        self._flexing = flexing
         return target
 
     def stream(self, target: Array) -> Array:

@@ -186,7 +186,7 @@ class Episodes:
         self._look(state, self.commands.record(actions), range(len(self.setups)), phase)
         self.terms = {term.name: term.value(self.now) for term in self.task.reward_terms}
         if self.options.reward == "dense":
-            return sum(self.terms.values())
+            return sum(self.terms.values(), np.zeros(len(self.setups)))
         return self.task.sparse_reward(self.now)
 
     def _look(
@@ -213,6 +213,7 @@ class Episodes:
             self.task.grip,
             self.outcome,
             phase if began is None else began,
+            commands.servo,
         )
         self.observations.measure(self.now)
 

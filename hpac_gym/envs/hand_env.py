@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from hpac_gym.envs.commands import Transmit
 from hpac_gym.envs.episodes import Episodes, open_episodes, quality
-from hpac_gym.envs.observations import Observation
+from hpac_gym.envs.observations import Observation, of_world
 from hpac_gym.envs.options import RENDER_MODES, checked_options, setups_of
 from hpac_gym.envs.pictures import VIEW_TARGET
 from hpac_gym.envs.randomization import Randomization, randomization
@@ -51,7 +51,6 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     ) -> None:
         self.task = task
         self.render_mode = render_mode
-        self._transmit = transmit
         chosen = checked_options(render_mode=render_mode, **options)
         self.hand = chosen.hand
         self.model = chosen.model
@@ -168,11 +167,12 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             EpisodeError: Before `reset`, after `close`, or with `transmit`, whose receiver has a
                 state of its own.
         """
-        if self._transmit is not None:
+        episodes = self._begun()
+        if episodes.commands.transmit is not None:
             raise EpisodeError(
                 "a state cannot be saved with transmit: what is at the far end keeps its own"
             )
-        return self._running, save_episode(self._begun())
+        return self._running, save_episode(episodes)
 
     def restore_state(self, state: Any) -> None:
         """Restore a state from `save_state`, any number of times: the same actions then give the
@@ -187,8 +187,7 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self._running = running
 
     def _observe(self) -> Observation:
-        seen = self._episodes.observe()
-        return {name: part[0] for name, part in seen.items()} if isinstance(seen, dict) else seen[0]
+        return of_world(self._episodes.observe(), 0)
 
     def _info(self) -> dict[str, Any]:
         episodes = self._episodes

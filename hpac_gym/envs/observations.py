@@ -16,6 +16,13 @@ IMAGE_SIZE = 84
 Observation = NDArray[np.float32] | dict[str, NDArray]
 
 
+def of_world(seen: Observation, world: int) -> Observation:
+    """The observation of one of n worlds."""
+    if isinstance(seen, dict):
+        return {name: part[world] for name, part in seen.items()}
+    return seen[world]
+
+
 class Observations:
     """The observations of n worlds.
 

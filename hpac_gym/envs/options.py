@@ -30,6 +30,8 @@ _SETUP_ARRAYS = {
     "object_quaternion": 4,
     "target": 3,
 }
+_NORM_TOLERANCE = 1e-6
+"""Largest deviation of a setup's quaternions from unit norm: rounding errors."""
 
 
 def _told(meaning: str, values: tuple[str | None, ...] = (), others: str = "") -> dict[str, Option]:
@@ -214,8 +216,17 @@ def _checked_setup(given: Any, task: Task, hand: Hand) -> SceneSetup:
         raise ParameterError(
             f"option 'setup' must be a SceneSetup with an ObjectSpec, not {given!r}"
         )
-    for name, size in _SETUP_ARRAYS.items():
-        if getattr(given, name) is not None:
-            as_finite_vector(getattr(given, name), size, f"setup {name}")
+    found: dict[str, Any] = {
+        name: as_finite_vector(getattr(given, name), size, f"setup {name}")
+        for name, size in _SETUP_ARRAYS.items()
+        if name != "target" or given.target is not None
+    }
     as_finite_vector([given.yaw], 1, "setup yaw")
-    return given
+    for name in ("hand_quaternion", "object_quaternion"):
+        norm = np.linalg.norm(found[name])
+        if abs(norm - 1) > _NORM_TOLERANCE:
+            raise ParameterError(
+                f"setup {name} = {found[name].tolist()} of norm {norm:g}: must be 1 to {_NORM_TOLERANCE:g}"
+            )
+        found[name] = tuple(found[name].tolist())
+    return replace(given, **found)

@@ -18,6 +18,7 @@ from hpac_gym.model.checks import Array
 from hpac_gym.model.variation import scaled_digit
 from hpac_gym.physics.engine import SceneSetup
 from hpac_gym.settings import check_bounds, setting, settings_from
+from hpac_gym.tasks import placing
 
 Range = tuple[float, float]
 _SAME: Range = (1.0, 1.0)
@@ -196,7 +197,7 @@ def changed_setup(setup: SceneSetup, values: Mapping[str, Array]) -> SceneSetup:
         friction=setup.object.friction * _value(values, "object_friction", 1.0),
     )
     offset = np.concatenate([[0.0], values.get("object_position", np.zeros(2))])
-    return replace(
+    changed = replace(
         setup,
         object=spec,
         position=setup.position + offset,
@@ -204,6 +205,9 @@ def changed_setup(setup: SceneSetup, values: Mapping[str, Array]) -> SceneSetup:
         hand=hand,
         hand_settings=settings,
     )
+    # A post follows its object by itself, a board does not.
+    lies = setup.support is not None and setup.support.half_width == placing.BOARD_HALF_WIDTH
+    return placing.on_something(changed, stand=False) if lies else changed
 
 
 def _value(values: Mapping[str, Array], name: str, nominal: float) -> float:

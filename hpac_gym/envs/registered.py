@@ -100,7 +100,7 @@ def _given(row: Registered, options: dict[str, Any]) -> tuple[Task, dict[str, An
     task = _task(row, own)
     known = [*_own_options(row), *(option.name for option in _common(task))]
     check_names([name for name in options if name not in (*_UNLISTED, *task.unused)], known)
-    if task.hands != "nominal" and options.get("hand", HPAC) is not HPAC:
+    if task.hands != "nominal" and options.get("hand", HPAC) != HPAC:
         raise ParameterError(
             f"hands {task.hands!r} and a hand of one's own were given: give either"
         )

@@ -10,8 +10,9 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from hpac_gym.envs.vector_env import HandVectorEnv
+from hpac_gym.envs.vector_env import ATTRIBUTES, HandVectorEnv, require, require_settable
 from hpac_gym.errors import ParameterError, install
+from hpac_gym.tasks.task import CONTROL_HZ
 
 try:
     from stable_baselines3.common.vec_env import VecEnv
@@ -52,6 +53,7 @@ class HandVecEnv(VecEnv):
         super().__init__(
             num_envs, self.envs.single_observation_space, self.envs.single_action_space
         )
+        self.metadata["render_fps"] = CONTROL_HZ
 
     def reset(self) -> Any:
         """Start an episode in every environment, with the seeds and options that `seed` and
@@ -98,14 +100,15 @@ class HandVecEnv(VecEnv):
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
         """Attribute of some environments, by default of all; see `HandVectorEnv.get_attr`."""
+        require("get_attr", attr_name, *ATTRIBUTES)  # a process of PyBullet would end
         return self._chosen(self.envs.get_attr(attr_name), indices)
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
         """Set an attribute of some environments, by default of all, to one value; see
         `HandVectorEnv.set_attr`.
         """
-        kept = indices is not None and self.has_attr(attr_name)
-        values = list(self.envs.get_attr(attr_name)) if kept else [None] * self.num_envs
+        require_settable(attr_name)
+        values = list(self.envs.get_attr(attr_name))
         for world in self._get_indices(indices):
             values[world] = value
         self.envs.set_attr(attr_name, values)

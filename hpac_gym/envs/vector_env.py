@@ -24,6 +24,7 @@ from hpac_gym.envs.vector_infos import (
 )
 from hpac_gym.errors import EpisodeError, ShapeError, WorkspaceError
 from hpac_gym.model.checks import as_array
+from hpac_gym.model.command import ACTION_TOLERANCE
 from hpac_gym.physics.engine import Engine
 from hpac_gym.tasks.task import RUNNING, Task
 
@@ -45,9 +46,18 @@ METHODS = ("render", "compute_reward", "compute_terminated", "compute_truncated"
 """Methods that `HandVectorEnv.call` calls; all but the first are those of tasks with goals."""
 
 
-def _require(method: str, name: str, *known: str) -> None:
+def require(method: str, name: str, *known: str) -> None:
+    """Refuse a name that is not known: an `AttributeError`."""
     if name not in known:
         raise AttributeError(f"{method}: {name!r} is not one of {', '.join(known)}")
+
+
+def require_settable(name: str) -> None:
+    """Refuse a name that `HandVectorEnv.set_attr` cannot set: an `AttributeError`."""
+    if name != "randomization":
+        raise AttributeError(
+            f"set_attr: {name!r} cannot be set in a running vector environment; 'randomization' can"
+        )
 
 
 class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
@@ -175,7 +185,7 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         try:
             rewards = np.asarray(episodes.step(actions), dtype=float)
         except WorkspaceError as error:
-            world = int(np.argmin((np.abs(actions) <= 1.0 + 1e-6).all(axis=1)))
+            world = int(np.argmin((np.abs(actions) <= 1.0 + ACTION_TOLERANCE).all(axis=1)))
             error.add_note(f"in environment {world}")
             raise
         self._steps += 1
@@ -209,7 +219,7 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         Raises:
             AttributeError: `name` is not one of `ATTRIBUTES`.
         """
-        _require("get_attr", name, *ATTRIBUTES)
+        require("get_attr", name, *ATTRIBUTES)
         if name == "randomization":
             return tuple(self.episodes.randomizations)
         name = f"single_{name}" if name.endswith("_space") else name
@@ -223,10 +233,7 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
             AttributeError: Any other name.
             ParameterError: Wrong number of values, or an invalid randomization.
         """
-        if name != "randomization":
-            raise AttributeError(
-                f"set_attr: {name!r} cannot be set in a running vector environment; 'randomization' can"
-            )
+        require_settable(name)
         values = values if isinstance(values, list | tuple) else [values] * self.num_envs
         check_count("values", values, self.num_envs)
         self.episodes.randomizations[:] = [randomization(value) for value in values]
@@ -238,7 +245,7 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
             AttributeError: Any other name.
         """
         methods = METHODS if self._goals else METHODS[:1]
-        _require("call", name, *methods, *ATTRIBUTES)
+        require("call", name, *methods, *ATTRIBUTES)
         if name == "render":
             return self.render() or (None,) * self.num_envs
         if name in methods:

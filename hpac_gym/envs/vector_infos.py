@@ -8,6 +8,7 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from hpac_gym.envs.episodes import Episodes, quality
+from hpac_gym.envs.observations import of_world
 from hpac_gym.errors import ParameterError
 from hpac_gym.model.checks import Array
 
@@ -61,12 +62,7 @@ def of_last_step(episodes: Episodes, over: Mask, terminated: Mask, add: Add) -> 
     last = episodes.observe()
     ended: dict[str, Any] = {}
     for world in np.flatnonzero(over):
-        seen = (
-            {name: part[world] for name, part in last.items()}
-            if isinstance(last, dict)
-            else last[world]
-        )
-        add(ended, {"final_obs": seen}, world)
+        add(ended, {"final_obs": of_world(last, world)}, world)
     final = of_step(episodes, over.copy(), terminated, add)
     ended |= {"final_info": final, "_final_info": over.copy()}
     return ended | of_step(episodes, ~over, np.zeros_like(terminated), add)

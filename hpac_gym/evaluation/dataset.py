@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import shutil
 import warnings
 from collections.abc import Iterator, Mapping
@@ -20,9 +21,10 @@ from hpac_gym.command import add_json, say, whole_number
 from hpac_gym.errors import DatasetError
 from hpac_gym.evaluation.environment import make_env
 from hpac_gym.evaluation.episodes import run_episodes, single
+from hpac_gym.evaluation.evaluate import env_id_of
 from hpac_gym.evaluation.options import add_env_options, env_options
 from hpac_gym.output import OutputError, writable_folder
-from hpac_gym.policies.loading import NAMES, NORMALIZE, load_policy
+from hpac_gym.policies.loading import NAMES, NORMALIZE, load_policy, needed_options
 from hpac_gym.progress import progress
 from hpac_gym.registration import GRASP, full_id
 
@@ -51,7 +53,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"{NAMES} (default: %(default)s)",
     )
     parser.add_argument("--normalize", metavar="FILE", help=NORMALIZE)
-    add_env_options(parser, f"id, also module:My-v0 (default: {GRASP})")
+    add_env_options(
+        parser, f"id, also module:My-v0 (default: a policy file's own, otherwise {GRASP})"
+    )
     parser.add_argument(
         "-n",
         "--episodes",
@@ -81,8 +85,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _record(args: argparse.Namespace) -> int:
-    env_id = args.env or GRASP
-    options = env_options(args, env_id)
+    env_id = args.env or env_id_of(args.policy)
+    options = needed_options(args.policy) | env_options(args, env_id)
     what = {"seed_start": args.seed_start, "options": options, "normalize": args.normalize}
     if args.format == "minari":
         told = _told(record(args.policy, env_id, args.episodes, args.out, **what))
@@ -154,12 +158,13 @@ def record(
     from minari import create_dataset_from_buffers
 
     with _appearing(out) as root:
+        before = os.environ.get("MINARI_DATASETS_PATH")
         env = make_env(full_id(env_id), **(options or {}))
         try:
             actor = load_policy(policy, env, normalize)
             dataset = None
-            task = env_id.rpartition(":")[2].removeprefix("HPAC-").lower().rpartition("-")[0]
-            name = f"hpac/{task}/{Path(policy).stem}-v0"
+            task = re.sub(r"-v\d+$", "", env_id.rpartition(":")[2].removeprefix("HPAC-")).lower()
+            name = re.sub(r"[^-\w/]+", "-", f"hpac/{task}/{Path(policy).stem}") + "-v0"
             os.environ["MINARI_DATASETS_PATH"] = str(root)
             buffers = []
             for seed in progress(range(seed_start, seed_start + episodes), "episodes"):
@@ -179,6 +184,9 @@ def record(
             shutil.move(root / name, root / "written")
         finally:
             env.close()
+            os.environ.pop("MINARI_DATASETS_PATH", None)
+            if before is not None:
+                os.environ["MINARI_DATASETS_PATH"] = before
     return read_dataset(out)
 
 

@@ -15,6 +15,7 @@ from gymnasium.vector import SyncVectorEnv, VectorEnv
 from numpy.typing import NDArray
 
 from hpac_gym.envs import HandEnv
+from hpac_gym.envs.observations import of_world
 from hpac_gym.evaluation.environment import make_env, make_envs
 from hpac_gym.policies import Policy
 from hpac_gym.policies.policy import ask
@@ -106,11 +107,15 @@ def run_episodes(
             )
             for world in began:
                 if (seed := playing[world]) is not None:
-                    yield Step(world, seed, 0, _of(seen, world), None, 0.0, False, False, infos)
+                    yield Step(
+                        world, seed, 0, of_world(seen, world), None, 0.0, False, False, infos
+                    )
         for world, policy in enumerate(policies):
             if playing[world] is not None:
                 begins = np.array([numbers[world] == 0])
-                actions[world], states[world] = ask(policy, _of(seen, world), states[world], begins)
+                actions[world], states[world] = ask(
+                    policy, of_world(seen, world), states[world], begins
+                )
         still = np.zeros_like(next(action for action in actions if action is not None))
         seen, rewards, terminated, truncated, infos = envs.step(
             np.stack([still if action is None else action for action in actions])
@@ -124,7 +129,7 @@ def run_episodes(
                     world,
                     seed,
                     int(numbers[world]),
-                    _of(seen, world),
+                    of_world(seen, world),
                     actions[world],
                     float(rewards[world]),
                     bool(terminated[world]),
@@ -160,10 +165,3 @@ def has_batch(env: gymnasium.Env[Any, Any]) -> bool:
         and env.spec.vector_entry_point is not None
         and env.unwrapped.episodes.options.engine == "mujoco"
     )
-
-
-def _of(seen: Any, world: int) -> Any:
-    """The observation of one world."""
-    if isinstance(seen, dict):
-        return {name: part[world] for name, part in seen.items()}
-    return seen[world]

@@ -279,12 +279,13 @@ def run(args: argparse.Namespace) -> int:
         writable_file(args.out)
         if any(args.out.resolve() == policy_path(name).resolve() for name in files):
             raise OutputError(f"--out is '{args.out}', a policy to evaluate")
-    env_id = args.env or env_id_of(args.policy[0])
+    made = next((name for name in args.policy if "env_id" in about(name)), args.policy[0])
+    env_id = args.env or env_id_of(made)
     how = {
         "seed_start": args.seed_start,
         "workers": args.workers,
         "time_limit": 60 * args.time_limit,
-        "options": needed_options(args.policy[0]) | env_options(args, env_id),
+        "options": needed_options(made) | env_options(args, env_id),
         "normalize": args.normalize,
     }
     judged = evaluate(names, env_id, args.episodes, **how)

@@ -11,24 +11,21 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-import gymnasium
 import numpy as np
 
 from hpac_gym.command import Formatter, whole_number
 from hpac_gym.evaluation.environment import make_env
-from hpac_gym.evaluation.episodes import run_episodes, single
-from hpac_gym.evaluation.evaluate import add_seeds_and_workers
+from hpac_gym.evaluation.episodes import BATCH, has_batch, run_episodes, worlds
+from hpac_gym.evaluation.evaluate import BLOCK, add_seeds_and_workers
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import success_counts
 from hpac_gym.evaluation.workers import shared
 from hpac_gym.output import markdown, writable_folder, write_text
 from hpac_gym.physics.simulation import ENGINES
-from hpac_gym.policies import Policy
 from hpac_gym.policies.loading import NAMES, NORMALIZE, about, load_policy
 from hpac_gym.registration import GRASP
 from hpac_gym.tasks.grasp_data import GRASPS, NOMINAL, named_grasp
 
-CHUNK = 5  # episodes per job of a worker
 RANDOM = "random"
 DEFAULTS = {"variant": NOMINAL, "engine": "mujoco"}
 COLUMNS = ("grasp", "object", "policy", "success", "95 % interval", "hold force", "drops by phase")
@@ -80,15 +77,6 @@ class Row:
         }
 
 
-def run_trial(env: gymnasium.Env, policy: Policy, seed: int) -> Trial:
-    """Run one episode of a grasp."""
-    steps = list(run_episodes(single(env), [policy], [seed]))[1:]
-    infos = [step.info for step in steps]
-    forces = [info["contact_force"] for info in infos if info["phase"] == "place"]
-    phase = str(infos[-1]["phase"])
-    return Trial(seed, steps[-1].success, phase, float(np.mean(forces)) if forces else None)
-
-
 def run_trials(
     policy: str,
     grasp: str,
@@ -96,10 +84,19 @@ def run_trials(
     seeds: Sequence[int],
     normalize: str | None = None,
 ) -> list[Trial]:
-    """Run episodes of one policy at one grasp in a new environment with these options."""
-    with make_env(GRASP, grasp=grasp, **options) as env:
-        actor = load_policy(policy, env, normalize)
-        return [run_trial(env, actor, seed) for seed in seeds]
+    """Run episodes of one policy at one grasp in new environments with these options."""
+    forces: dict[int, list[float]] = {seed: [] for seed in seeds}
+    trials = {}
+    with worlds(GRASP, {"grasp": grasp, **options}, len(seeds)) as (env, envs):
+        policies = [load_policy(policy, env, normalize) for _ in range(envs.num_envs)]
+        for step in run_episodes(envs, policies, seeds):
+            info = step.info
+            if step.number and info["phase"] == "place":
+                forces[step.seed].append(info["contact_force"])
+            if step.over:
+                force = float(np.mean(forces[step.seed])) if forces[step.seed] else None
+                trials[step.seed] = Trial(step.seed, step.success, str(info["phase"]), force)
+    return [trials[seed] for seed in seeds]
 
 
 def benchmark(
@@ -123,12 +120,12 @@ def benchmark(
     variant = options["variant"]
     for grasp in grasps:
         named_grasp(grasp).variant(variant)
-    for policy in policies:
-        run_trials(
-            policy, grasps[0], options, (), normalize
-        )  # errors are raised here, not in a worker
+    with make_env(GRASP, grasp=grasps[0], **options) as env:
+        for policy in policies:
+            load_policy(policy, env, normalize)  # errors are raised here, not in a worker
+        block = BATCH if has_batch(env) else BLOCK
     seeds = range(seed_start, seed_start + episodes)
-    parts = [seeds[start : start + CHUNK] for start in range(0, episodes, CHUNK)]
+    parts = [seeds[start : start + block] for start in range(0, episodes, block)]
     cells = [(policy, grasp) for grasp in grasps for policy in policies]
     jobs = [(policy, grasp, options, part, normalize) for policy, grasp in cells for part in parts]
     trials_of: dict[tuple[str, str], list[Trial]] = {cell: [] for cell in cells}

@@ -18,7 +18,7 @@ from hpac_gym.model.joints import JOINTS, SERVOS
 from hpac_gym.model.parameters import Hand, unchecked_servo_from_synergy
 
 _ACTION_BOUND = np.ones(len(SERVOS))
-_ACTION_TOLERANCE = 1e-6
+ACTION_TOLERANCE = 1e-6
 """Actions beyond ±1 by at most this are clipped: float32 arithmetic in a rescaling wrapper can
 overshoot by a few 1e-7.
 """
@@ -65,9 +65,9 @@ def synergy_from_action(action: ArrayLike, hand: Hand = HPAC) -> Array:
         WorkspaceError: NaN, or outside −1…1 by more than float32 rounding.
     """
     action = as_array(action, len(SERVOS), "action")
-    if not np.abs(action).max(initial=0.0) <= 1 + _ACTION_TOLERANCE:
+    if not np.abs(action).max(initial=0.0) <= 1 + ACTION_TOLERANCE:
         as_bounded_array(
-            action, -_ACTION_BOUND, _ACTION_BOUND, SERVOS, "action", "(no unit)", _ACTION_TOLERANCE
+            action, -_ACTION_BOUND, _ACTION_BOUND, SERVOS, "action", "(no unit)", ACTION_TOLERANCE
         )
     share = np.minimum(np.maximum(action + 1, 0.0), 2.0) / 2
     return hand.synergy_min + share * (hand.synergy_max - hand.synergy_min)

@@ -1,6 +1,6 @@
 """Untrained baseline policies."""
 
-from copy import copy
+from copy import copy, deepcopy
 from typing import Any
 
 import gymnasium
@@ -27,9 +27,12 @@ class RandomPolicy(EpisodePolicy):
         """Set the seed of the episodes that begin from now on."""
         self._seed = seed
 
+    def _first(self, row: int) -> Memory:
+        # A separate stream: the environment also uses default_rng(seed). Row 0's is that of [seed, 1].
+        return np.random.default_rng([self._seed, 1, row])
+
     def _act(self, observation: Any, memory: Memory) -> tuple[NDArray[np.float32], Memory]:
-        # A separate stream: the environment also uses default_rng(seed).
-        rng = np.random.default_rng([self._seed, 1]) if memory is None else memory
+        rng = deepcopy(memory)
         return rng.uniform(-1, 1, self._shape).astype(np.float32), rng
 
 

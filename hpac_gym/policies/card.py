@@ -39,6 +39,8 @@ def card(policy: PolicyFile, evaluation: dict[str, Any] | None = None) -> dict[s
         }
     return {
         "env_id": about["env_id"],
+        "obs": about.get("obs"),
+        "inputs": policy.actor.sizes[0],
         "observation": [
             dict(zip(names, entry, strict=True)) for entry in fits.get("observation", [])
         ],
@@ -107,7 +109,7 @@ def page(told: dict[str, Any], film: bool) -> str:
         "",
         f"# A policy for {env_id}",
         "",
-        f"`{MODEL}` maps `observation`, float32 (n, {len(told['observation'])}), to `decision`, −1…1; the scaling is inside.",
+        f"`{MODEL}` maps `observation`, float32 (n, {told['inputs']}), to `decision`, −1…1; the scaling is inside.",
         f"`{CARD}` contains the same information in machine-readable form.{f' `{FILM}` shows the policy.' * film}",
         "",
     ]
@@ -136,6 +138,8 @@ def page(told: dict[str, Any], film: bool) -> str:
             f"A decision is an action, held for {decision['control_steps']} steps of {told['control_hz']} per second.",
             "",
         ]
+    if told["obs"]:
+        lines += [f'With `obs="{told["obs"]}"`, whose own entries follow those below.', ""]
     rows = [
         (
             place,

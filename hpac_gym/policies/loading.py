@@ -101,8 +101,9 @@ def needed_options(name: str) -> dict[str, Any]:
         PolicyError: The file is damaged.
     """
     told = about(name)
-    wrist = {"wrist": "free"} if (told.get("closure") or {}).get("shift") else {}
-    return wrist | ({"obs": told["obs"]} if "obs" in told else {})
+    closure = told.get("decision", told).get("closure") or {}  # a card's is under its decision
+    wrist = {"wrist": "free"} if closure.get("shift") else {}
+    return wrist | ({"obs": told["obs"]} if told.get("obs") else {})
 
 
 def shipped_for(env_id: str) -> str:

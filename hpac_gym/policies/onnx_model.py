@@ -84,8 +84,8 @@ def read_onnx(folder: Path, env: gymnasium.Env[Any, Any]) -> LearnedPolicy:
     """Load an exported policy for an environment.
 
     Raises:
-        PolicyError: A file is missing or damaged, or the policy was made for another layout, rate
-            or hand.
+        PolicyError: A file is missing or damaged, or the policy was made for another layout or
+            rate.
     """
     try:
         import onnxruntime

@@ -15,7 +15,7 @@ from hpac_gym.policies.policy_file import PolicyFile
 
 Observation = ArrayLike | Mapping[str, NDArray[Any]]
 Memory = Any
-"""What a policy remembers of one episode; None before its first step."""
+"""What a policy remembers of one episode."""
 
 
 def vector(observation: Observation) -> NDArray[Any]:
@@ -79,6 +79,10 @@ class EpisodePolicy:
         """Action for an observation of one environment, and what to remember of the episode."""
         raise NotImplementedError
 
+    def _first(self, row: int) -> Memory:
+        """The memory before the first step in a row of a batch."""
+        return None
+
     def predict(
         self,
         observation: Any,
@@ -94,10 +98,12 @@ class EpisodePolicy:
             count = len(next(iter(parts.values())))
             rows = [{name: part[row] for name, part in parts.items()} for row in range(count)]
             rows = rows if isinstance(observation, Mapping) else [row[""] for row in rows]
-        memories = [None] * len(rows) if state is None else list(state)
+        first = [self._first(row) for row in range(len(rows))]
+        memories = first if state is None else list(state)
         if episode_start is not None:
             begins = np.reshape(episode_start, -1)
-            memories = [None if new else old for new, old in zip(begins, memories, strict=True)]
+            pairs = zip(begins, first, memories, strict=True)
+            memories = [new if begun else old for begun, new, old in pairs]
         acted = [self._act(row, memory) for row, memory in zip(rows, memories, strict=True)]
         actions = np.stack([action for action, _ in acted])
         return (actions[0] if single else actions), tuple(memory for _, memory in acted)

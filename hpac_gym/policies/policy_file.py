@@ -11,6 +11,7 @@ import io
 import json
 import os
 import tarfile
+import zipfile
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
@@ -215,6 +216,7 @@ def read_policy(path: str | os.PathLike[str]) -> PolicyFile:
         raise PolicyError(f"cannot read policy file '{path}': {error.strerror or error}") from None
     except (
         tarfile.TarError,
+        zipfile.BadZipFile,
         zlib.error,
         EOFError,
         UnicodeDecodeError,
@@ -243,15 +245,16 @@ def _actor_from_arrays(arrays: dict[str, NDArray[Any]]) -> Actor:
     scale = arrays["observation_scale"]
     width = len(mean)
     for weight, bias in layers:
-        if weight.shape != (len(bias), width):
-            raise PolicyError(
+        if weight.shape != (len(bias), width) or bias.ndim != 1:
+            raise ValueError(
                 f"a layer of shape {weight.shape} and {bias.shape} does not follow {width} values"
             )
         width = len(bias)
     if (
         not layers
+        or mean.ndim != 1
         or scale.shape != mean.shape
         or not all(np.all(np.isfinite(array)) for array in arrays.values())
     ):
-        raise PolicyError("the arrays of the actor are not those of a policy")
+        raise ValueError("the arrays of the actor are not those of a policy")
     return Actor(mean, scale, float(arrays["observation_clip"]), layers, float(arrays["mean_clip"]))

@@ -150,7 +150,7 @@ def read_model(path: Path, env: gymnasium.Env[Any, Any], normalize: str | None =
     policy, normalised = _policy(path, path.stat().st_mtime_ns)
     for name in ("observation_space", "action_space"):
         ours = getattr(env, name)
-        if (theirs := getattr(policy, name)) != ours:
+        if (theirs := getattr(policy, name)) not in (ours, _channels_first(ours)):
             its, our = _briefly(theirs, ours)
             raise PolicyError(
                 f"model '{path}' has the {name} {its}, {id_of(env)} has {our}: name the model's environment with --env"
@@ -163,6 +163,19 @@ def read_model(path: Path, env: gymnasium.Env[Any, Any], normalize: str | None =
             )
         return SB3Policy(policy)
     return SB3Policy(policy, _statistics(statistics, statistics.stat().st_mtime_ns, policy))
+
+
+def _channels_first(space: gymnasium.Space[Any]) -> gymnasium.Space[Any]:
+    """The space as a model has it, whose training puts the channels of a picture first."""
+    from stable_baselines3.common.preprocessing import is_image_space, is_image_space_channels_first
+    from stable_baselines3.common.vec_env import VecTransposeImage
+
+    if isinstance(space, gymnasium.spaces.Dict):
+        return gymnasium.spaces.Dict({key: _channels_first(part) for key, part in space.items()})
+    if not (isinstance(space, gymnasium.spaces.Box) and is_image_space(space)):
+        return space
+    first = is_image_space_channels_first(space)
+    return space if first else VecTransposeImage.transpose_space(space)
 
 
 def _briefly(theirs: gymnasium.Space[Any], ours: gymnasium.Space[Any]) -> tuple[str, ...]:
@@ -225,13 +238,14 @@ def _statistics(path: Path, _changed: int, policy: Any) -> Any:
         statistics = load_from_pkl(path)
         if not isinstance(statistics, VecNormalize):
             raise TypeError(f"it holds a {type(statistics).__name__}")
-        if (wanted := policy.observation_space) != statistics.observation_space:
-            its, model = _briefly(statistics.observation_space, wanted)
+        wanted = policy.observation_space
+        if wanted not in ((scaled := statistics.observation_space), _channels_first(scaled)):
+            its, model = _briefly(scaled, wanted)
             raise PolicyError(
                 f"'{path}' holds VecNormalize statistics of {its}, the model observes {model}: name its own with "
                 f"--normalize, or --normalize {NONE} if it has none"
             )
-        statistics.normalize_obs(wanted.sample())
+        statistics.normalize_obs(scaled.sample())
     except PolicyError:
         raise
     except Exception as error:  # a damaged file can make its reader raise anything

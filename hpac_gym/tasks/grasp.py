@@ -150,7 +150,7 @@ class Grasp(Task):
             shape = spec.shape
             (width, depth, _) = spec.half_extents
         reach = (
-            width * abs(np.sin(yaw)) + depth * np.cos(yaw)
+            width * abs(np.sin(yaw)) + depth * abs(np.cos(yaw))
             if shape == "box"
             else spec.half_extents[0]
         )

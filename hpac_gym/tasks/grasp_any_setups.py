@@ -94,7 +94,7 @@ class GraspAnyConfig:
         0.2, "duration of apparent gravity towards each side [s]", bounds=(0.05, 10.0)
     )
     ramp_time: float = setting(1.5, "duration of the force ramp [s]", bounds=(0.05, 10.0))
-    ramp_force: float = setting(40.0, "final force of the ramp [N]", bounds=(0.0, 1e3))
+    ramp_force: float = setting(40.0, "final force of the ramp [N]", bounds=(0.0, 1e3), above=True)
     timetable: Timetable = field(
         default_factory=lambda: Timetable(close_time=3.0, clearance=Timetable().lift_height)
     )
@@ -103,12 +103,16 @@ class GraspAnyConfig:
 
     def __post_init__(self) -> None:
         check_bounds(self, "config")
-        if (
-            round(self.side_time * CONTROL_HZ, 6) % 1
-        ):  # sides are counted at the end of control steps
-            raise ParameterError(
-                f"config side_time = {self.side_time} s must be a multiple of {1 / CONTROL_HZ:g} s"
-            )
+        shaken = self.timetable.ends[SHAKE]
+        # Sides are counted at the end of control steps.
+        for name, time in (
+            ("side_time", self.side_time),
+            ("timetable: the end of the shake", shaken),
+        ):
+            if round(time * CONTROL_HZ, 6) % 1:
+                raise ParameterError(
+                    f"config {name} = {time:g} s must be a multiple of {1 / CONTROL_HZ:g} s"
+                )
 
     @property
     def ends(self) -> tuple[float, ...]:
@@ -197,6 +201,10 @@ class Setups:
             variant.geometry: placing.reach_of(variant, preshape) for variant in self.hands
         }
         entries = object_set(objects) if object is None else (resting_object(as_object(object)),)
+        if config.size != (1.0, 1.0) and any(entry.model.has_hulls for entry in entries):
+            raise ParameterError(
+                f"config size = {config.size}: a mesh of one's own has its own size"
+            )
         poses = ((entry, tuple(filter(self._asked, entry.poses))) for entry in entries)
         self.objects = tuple(replace(entry, poses=kept) for entry, kept in poses if kept)
         if not self.objects:

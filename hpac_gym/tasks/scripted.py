@@ -2,7 +2,7 @@
 (`Task.script`).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -107,18 +107,11 @@ class ScriptedGraspAny(Script):
     Args:
         terms: terms of the observations that it receives, as a vector or in a dictionary.
         wrist: number of entries of an action beyond the six for the servos.
-        closures: closure for each kind of object.
     """
 
-    def __init__(
-        self,
-        terms: Sequence[Term],
-        wrist: int = 0,
-        closures: Mapping[tuple[bool, int], AnyClosure] = ANY_CLOSURES,
-    ) -> None:
+    def __init__(self, terms: Sequence[Term], wrist: int = 0) -> None:
         self._slices = Layout(terms, 1).slices
         self._wrist = np.zeros(wrist)
-        self._closures = closures
 
     def act(self, observation: NDArray[np.float32] | dict[str, NDArray]) -> NDArray[np.float32]:
         """The next action; it uses only the first observation of an episode, and does not move a
@@ -126,7 +119,7 @@ class ScriptedGraspAny(Script):
         """
         if self._time == 0.0:
             vector = observation["deploy"] if isinstance(observation, dict) else observation
-            self._closure = self._closures[self.kind(vector)]
+            self._closure = ANY_CLOSURES[self.kind(vector)]
         self._time += 1 / CONTROL_HZ
         closure = self._closure
         synergy = np.zeros(len(SERVO_INDEX))

@@ -83,7 +83,7 @@ LOAD_TERMS = (
         -5.0,
         5.0,
         "commanded servo angle less the horn's as the servo tells it",
-        lambda now: (now.servo - now.seen["horn"]) / 0.1,
+        lambda now: (now.commanded - now.seen["horn"]) / 0.1,
     ),
 )
 """Terms that `obs="load"` adds. The servo of the CMC, which pulls no tendon, has no load in the
@@ -126,6 +126,7 @@ class Senses:
         self._drives = np.zeros((num_worlds, 7, len(DIGITS)))
         self._rng: list[np.random.Generator | None] = [None] * num_worlds
         self._bias = np.zeros((num_worlds, len(DIGITS)))
+        self._zero = np.zeros((num_worlds, len(SERVOS)))
         self._count = np.zeros(num_worlds, dtype=int)
         sizes = {
             "position": 3,
@@ -148,6 +149,7 @@ class Senses:
         self._eye[world] = self._centre + setup.hand_rotation.T @ eye_offset(self._view)
         if self._servos is not None:
             settings = setup.hand_settings
+            self._zero[world] = settings.servo_zero
             for digit, values in enumerate(
                 zip(setup.hand.digits.values(), settings.slack, settings.strength, strict=True)
             ):
@@ -197,7 +199,7 @@ class Senses:
             + servos.load_noise * noise
         )
         self._seen["load"][rows] = np.round(load / servos.load_step) * servos.load_step
-        horn = state.horn[rows].copy()
+        horn = state.horn[rows] - self._zero[rows]  # a servo knows its encoder alone
         horn[:, : len(DIGITS)] -= self._behind(state, rows)
         self._seen["horn"][rows] = np.round(horn / servos.horn_step) * servos.horn_step
 

@@ -33,7 +33,7 @@ class Moment:
 
     state: SceneState
     servo: Array
-    """Commanded servo angles, shape (n, 6) [rad]."""
+    """Commanded servo angles as a policy sees them, shape (n, 6) [rad]."""
     predicted: Array
     """Joint angles that the model predicts for the command, shape (n, 15) [rad]."""
     down: Array
@@ -52,6 +52,8 @@ class Moment:
     """Status of each episode, an index into `OUTCOMES`, shape (n,)."""
     began: NDArray[np.int_] | None = None
     """Index of the phase in which the control step began, to which its reward belongs, shape (n,)."""
+    commanded: Array | None = None
+    """Servo angles really commanded, shape (n, 6) [rad]; None outside a simulation."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -509,3 +509,5 @@ def test_an_unknown_name_and_a_scale_of_an_own_object_are_refused(ell, decompose
         ValueError, match=r"scale 1.1 of ell: an object of one's own has the scale 1 here"
     ):
         replace(spec, scale=1.1)
+    with pytest.raises(ParameterError, match=r"config size = \(0.8, 1.2\): .* has its own size"):
+        GraspAny(config={"size": [0.8, 1.2]}, object=spec)

@@ -350,29 +350,6 @@ def test_another_seed_is_another_episode(name, env):
 
 
 @every_id
-def test_the_last_place_in_a_vector_env_gives_the_same_trajectory(name, env):
-    place = 2
-    envs = gymnasium.make_vec(name, num_envs=3, vectorization_mode="sync")
-    together, _ = envs.reset(seed=[50, 51, 9])
-    alone, _ = env.reset(seed=9)
-    rng = np.random.default_rng(0)
-    for _ in range(12):
-        own = (
-            {key: rows[place] for key, rows in together.items()}
-            if isinstance(together, dict)
-            else together[place]
-        )
-        np.testing.assert_array_equal(flat(own), flat(alone))
-        actions = rng.uniform(-1, 1, envs.action_space.shape).astype(np.float32)
-        actions[:, len(SERVOS) :] = whole(env, actions[0, : len(SERVOS)])[len(SERVOS) :]
-        together, *_ = envs.step(actions)
-        alone, _, terminated, *_ = env.step(actions[place])
-        if terminated:
-            break
-    envs.close()
-
-
-@every_id
 @pytest.mark.parametrize("preset", PRESETS)
 def test_a_randomized_episode_is_its_seed_s_too(name, preset):
     def trajectory(env, seed):

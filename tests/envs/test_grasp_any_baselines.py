@@ -13,8 +13,7 @@ from hpac_gym.envs import GraspAny, HandVectorEnv
 from hpac_gym.evaluation.statistics import wilson_interval
 from hpac_gym.model import HPAC, SERVO_INDEX, action_from_synergy
 from hpac_gym.tasks.task import CONTROL_HZ, RUNNING, SUCCESS
-from tools.any_closures import first_winners
-from tools.any_player import Player
+from tools.any_closures import Player, first_winners
 
 N = 64
 TRIES = 64

@@ -19,6 +19,7 @@ from hpac_gym.physics.engine import SceneSetup
 from hpac_gym.physics.settings import BODIES
 from hpac_gym.tasks import placing
 from hpac_gym.tasks.grasp_any import PHASES, RAMP, SIDE_DIRECTIONS, SIDES, GraspAny, GraspAnyConfig
+from hpac_gym.tasks.senses import ServoSenses
 from hpac_gym.tasks.task import CONTROL_HZ
 from hpac_gym.tasks.terms import GRASP_CENTRE
 from tests.envs.episodes import a_setup
@@ -165,6 +166,22 @@ def test_a_horn_that_stays_behind_tells_an_object_from_none():
     assert held.sum() > 60
     assert told[held].mean() > 0.99
     np.testing.assert_array_equal(horn, free_horn)
+
+
+@pytest.mark.parametrize("options", [{"hands": "train"}, {"hands": "test", "model": "calibrated"}])
+def test_horn_lag_hides_the_servo_zeros(options):
+    """Of a hand that keeps still only pulling tendons hold horns back."""
+    env = gymnasium.make_vec(ID, num_envs=32, engine="mujoco", obs="load", **options)
+    env.reset(seed=0)
+    episodes = env.unwrapped.episodes
+    for _ in range(11):
+        episodes.step(episodes.commands.last_action)
+    lag = 0.1 * episodes.observe()[:, env.unwrapped.slices["horn_lag"]]
+    lag[:, :5] -= episodes._camera._behind(episodes.now.state, np.arange(32))
+    zero = np.array([setup.hand_settings.servo_zero for setup in episodes.setups])
+    env.close()
+    assert np.abs(zero).max() > 0.05
+    np.testing.assert_allclose(lag, 0.0, atol=ServoSenses().horn_step)
 
 
 def test_a_critic_sees_mass_and_friction_by_their_names():

@@ -169,6 +169,18 @@ SETUPS = [
         ShapeError,
         r"setup target\[2\] = nan",
     ),
+    *(
+        (
+            {"setup": a_setup(**{name: wrong})},
+            ParameterError,
+            f"setup {name}.* of norm {norm}: must",
+        )
+        for name, wrong, norm in (
+            ("hand_quaternion", (2.0, 0.0, 0.0, 2.0), "2.82843"),
+            ("object_quaternion", (1, 0, 0, 1), "1.41421"),
+            ("object_quaternion", np.zeros(4), "0"),
+        )
+    ),
 ]
 GOALS = [
     (
@@ -204,6 +216,21 @@ def test_a_reset_that_is_refused_names_what_is_wrong_and_leaves_no_episode_runni
     env.reset(seed=0, options={})
     env.step(np.zeros(6, np.float32))
     env.close()
+
+
+def test_a_setup_of_lists_is_that_of_its_arrays_and_tuples():
+    with gymnasium.make("HPAC-GraspAny-v1", engine="mujoco", wrist="free") as env:
+        env.reset(seed=3)
+        setup = env.unwrapped.episodes.setups[0]
+        names = ("position", "synergy", "hand_quaternion", "object_quaternion")
+        lists = {name: np.asarray(getattr(setup, name)).tolist() for name in names}
+        plain = ObjectSpec("box", (0.02, 0.03, 0.03), 0.1, 0.8)
+        listed = replace(plain, half_extents=[0.02, 0.03, 0.03])
+        seen = []
+        for given in (replace(setup, object=plain), replace(setup, **lists, object=listed)):
+            env.reset(seed=3, options={"setup": given})
+            seen.append(env.step(np.full(10, 0.2, np.float32))[0])
+    np.testing.assert_array_equal(*seen)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
@@ -330,6 +357,12 @@ PRESET = r"randomize must be a preset \(nominal, .*; got "
         ),
         (
             GRASP_ANY,
+            {"config": {"timetable": {"close_time": 2.97}}},
+            "config timetable: the end of the shake = 4.47 s must be a multiple of 0.05 s",
+        ),
+        (GRASP_ANY, {"config": {"ramp_force": 0}}, r"ramp_force = 0 .* within \]0, 1000\]"),
+        (
+            GRASP_ANY,
             {"config": {"width": [0.5, 0.6]}},
             r"width = \(0.5, 0.6\) m and flattest = 0.018 m exclude all train",
         ),
@@ -357,6 +390,14 @@ def test_what_is_refused_is_named_in_one_line(name, options, message):
     with pytest.raises(HpacError, match=message) as error:
         gymnasium.make(name, **options)
     assert "\n" not in str(error.value)
+
+
+def test_a_spec_that_names_the_hand_of_the_paper_can_be_made_again():
+    with (
+        gymnasium.make(GRASP_ANY, hand=HPAC, hands="train") as env,
+        gymnasium.make(env.spec) as again,
+    ):
+        assert again.unwrapped.task.hands == "train"
 
 
 def test_a_config_is_taken_where_it_says_nothing_of_the_object():

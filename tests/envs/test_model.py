@@ -7,7 +7,7 @@ import gymnasium
 import numpy as np
 import pytest
 
-from hpac_gym.errors import ParameterError
+from hpac_gym.errors import ParameterError, WorkspaceError
 from hpac_gym.model import HPAC, JOINT_INDEX, SERVOS, hand_to_toml
 from hpac_gym.model.calibration import Calibration
 from hpac_gym.policies.loading import load_policy
@@ -111,6 +111,20 @@ def test_a_state_can_be_restored_with_a_model_of_the_episodes_hand():
         first = [env.step(action)[0] for action in actions]
         env.unwrapped.restore_state(state)
         np.testing.assert_array_equal(first, [env.unwrapped.step(action)[0] for action in actions])
+
+
+def test_a_refused_action_leaves_no_trace_in_the_commands_of_a_calibrated_model():
+    options = {"engine": "mujoco", "hands": "test", "model": "calibrated"}
+    seen = []
+    with gymnasium.make("HPAC-GraspAny-v1", **options) as env:
+        for wrong in ([], [np.full(6, -2.0)]):
+            env.reset(seed=3)
+            env.unwrapped.step(np.zeros(6))
+            for action in wrong:
+                with pytest.raises(WorkspaceError, match="ClipAction"):
+                    env.unwrapped.step(action)
+            seen.append([env.unwrapped.step(np.zeros(6))[0] for _ in range(3)])
+    np.testing.assert_array_equal(*seen)
 
 
 @pytest.mark.parametrize(

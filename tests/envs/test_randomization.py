@@ -5,10 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from hpac_gym.envs import GoalEnv, Grasp, HandEnv, Posture, ScriptedClosure
+from hpac_gym.envs import GoalEnv, Grasp, GraspAny, HandEnv, Posture, ScriptedClosure
 from hpac_gym.envs.randomization import BOUNDS, PRESETS, Randomization, changed_setup, stream
 from hpac_gym.errors import ParameterError
 from hpac_gym.model import HPAC
+from hpac_gym.physics.supports import support_boxes
+from hpac_gym.tasks.placing import BOARD
 
 
 def setup_of(seed: int = 0):
@@ -146,6 +148,19 @@ def test_a_range_is_an_ordered_pair_of_numbers_within_its_bounds(name):
     ):
         with pytest.raises(ParameterError, match=name):
             Randomization(**{name: wrong})
+
+
+@pytest.mark.parametrize("offset", [-0.02, 0.02])
+def test_a_lying_object_lies_on_its_board_wherever_it_is_moved(offset):
+    task = GraspAny()
+    drawn = (task.setup(np.random.default_rng(seed)) for seed in range(20))
+    lying = [setup for setup in drawn if setup.support and setup.support.table_height]
+    assert len({setup.hand_quaternion for setup in lying}) == 2, "beside the hand and below it"
+    for setup in lying:
+        moved = changed_setup(setup, {"object_position": np.full(2, offset)})
+        assert np.abs(moved.position - setup.position).max() == pytest.approx(0.02)
+        ((half, _),) = support_boxes(moved)[0]
+        assert 2 * half[2] == pytest.approx(BOARD)
 
 
 @pytest.mark.parametrize("corner", [0, 1])

@@ -12,6 +12,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor, VecNormali
 from hpac_gym.envs.randomization import PRESETS
 from hpac_gym.envs.sb3 import HandVecEnv
 from hpac_gym.errors import ParameterError
+from hpac_gym.tasks.task import CONTROL_HZ
 from tests.envs.episodes import EASY
 
 GRASP = "HPAC-Grasp-v0"
@@ -87,6 +88,7 @@ def _plain(value):
 
 def test_attributes_and_methods_reach_the_environments_that_are_named():
     envs = HandVecEnv(GRASP, 3, engine="mujoco")
+    assert envs.metadata["render_fps"] == CONTROL_HZ  # of the films of VecVideoRecorder
     assert envs.get_attr("obs") == ["deploy"] * 3
     with gymnasium.make(GRASP, engine="mujoco") as env:
         assert envs.get_attr("slices") == [env.unwrapped.slices] * 3
@@ -109,6 +111,18 @@ def test_attributes_and_methods_reach_the_environments_that_are_named():
         envs.reset()
     assert envs.env_is_wrapped(gymnasium.Wrapper) == [False] * 3
     assert envs.get_images() == [None] * 3
+    envs.close()
+
+
+@pytest.mark.pybullet
+def test_an_unknown_attribute_ends_no_process_of_pybullet():
+    envs = HandVecEnv(GRASP, 2, engine="pybullet")
+    assert not envs.has_attr("nonsense")
+    with pytest.raises(AttributeError, match=r"set_attr: 'foo' cannot be set.*randomization"):
+        envs.set_attr("foo", 1)
+    envs.set_attr("randomization", "full", indices=[1])
+    assert envs.get_attr("randomization") == [PRESETS["nominal"], PRESETS["full"]]
+    assert envs.reset().shape == (2, 44)
     envs.close()
 
 

@@ -11,6 +11,7 @@ import pytest
 from hpac_gym.evaluation.blind import (
     BLIND,
     COLUMNS,
+    MEASURED_WITH,
     Closure,
     Scale,
     Try,
@@ -109,6 +110,10 @@ def test_the_scale_is_0_at_the_floor_and_1_at_the_ceiling():
     assert scale == scale_of("HPAC-Grasp-v0")
     assert 0.2 < scale.floor < 0.5 < 0.9 < scale.ceiling <= 1.0
     assert scale_of("HPAC-PickPlace-v0") is None
+    measured = MEASURED_WITH | {"obs": "privileged", "reward": "sparse"}
+    assert scale_of("HPAC-Grasp-v0", measured) == scale
+    for other in ({"engine": "mujoco"}, {"grasp": "screwdriver"}, {"config": {"mass": [1, 1]}}):
+        assert scale_of("HPAC-Grasp-v0", measured | other) is None
 
 
 def test_an_evaluation_prints_the_score_beside_the_success():

@@ -1,11 +1,6 @@
 """`hpac grasps`: numbers, table, pictures, mistakes."""
 
 import json
-import os
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -17,7 +12,6 @@ from hpac_gym.evaluation.pictures import TITLE
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.policies.policy_file import SHIPPED
 from tests.options import refused
-from tests.processes import wait_for
 
 TRAINED = SHIPPED["grasp"]
 
@@ -113,56 +107,3 @@ def test_a_mistake_ends_in_one_line_and_status_2_before_anything_runs(
     monkeypatch.chdir(tmp_path)
     words = words.format(folder=folder).split()
     assert complaint in refused(capsys, lambda: main(["grasps", *words]))
-
-
-def test_a_missing_package_is_one_line_and_the_help_needs_none(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setitem(sys.modules, "PIL", None)  # refuses the import
-    for module in ("grasps", "pictures"):
-        monkeypatch.delitem(sys.modules, f"hpac_gym.evaluation.{module}", raising=False)
-    with pytest.raises(SystemExit):
-        main(["grasps", "--help"])
-    assert "--policy" in capsys.readouterr().out
-    assert main(["grasps"]) == 2
-    assert (
-        capsys.readouterr().err
-        == "error: this command needs more: pip install '.[grasps]' in a checkout of hpac_gym (no module PIL)\n"
-    )
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize("seconds", [pytest.param(0.0, marks=pytest.mark.slow), 2.0])
-def test_ctrl_c_ends_it_and_its_workers(seconds, tmp_path):
-    """Ctrl-C reaches every process of a terminal: while the workers start, and while they work."""
-    words = [
-        "grasps",
-        "-n",
-        "1000",
-        "--policy",
-        "random",
-        "--grasps",
-        "rod",
-        "--workers",
-        "2",
-        "--out",
-        str(tmp_path),
-    ]
-    command = subprocess.Popen(
-        [sys.executable, "-m", "hpac", *words],
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-        preexec_fn=lambda: signal.signal(
-            signal.SIGINT, signal.SIG_DFL
-        ),  # a shell's background job ignores it
-    )
-    children = Path(f"/proc/{command.pid}/task/{command.pid}/children")
-    # Two workers, and the tracker of their resources.
-    wait_for(lambda: len(children.read_text().split()) >= 3)
-    workers = children.read_text().split()
-    time.sleep(seconds)
-    os.killpg(command.pid, signal.SIGINT)
-    _, said = command.communicate(timeout=300)
-    assert command.returncode == 130
-    assert said == "interrupted\n"
-    wait_for(lambda: not any(Path(f"/proc/{worker}").exists() for worker in workers))

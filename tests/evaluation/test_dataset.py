@@ -1,5 +1,6 @@
 """What `hpac record` writes is what happened, and can be learned from."""
 
+import os
 import sys
 from types import SimpleNamespace
 
@@ -15,6 +16,7 @@ from hpac_gym.evaluation.dataset import read_dataset, record
 from hpac_gym.output import OutputError
 from hpac_gym.policies import read_policy
 from hpac_gym.policies.loading import load_policy
+from hpac_gym.registration import GENTLE
 from hpac_gym.tasks.posture import ScriptedPosture
 from tests.options import refused
 
@@ -86,6 +88,46 @@ def test_goals_are_recorded_and_cloned_too(tmp_path, monkeypatch):
         }
         np.testing.assert_array_equal(ScriptedPosture().act(parts), wanted)
     assert not np.array_equal(*(seen for seen, _ in taught)), "each round has episodes of its own"
+
+
+def still(env):
+    """A policy that keeps the hand half closed."""
+    return SimpleNamespace(predict=lambda seen, state, start: (np.zeros((1, 6), np.float32), state))
+
+
+@pytest.fixture
+def unnumbered():
+    """An environment whose id has no version."""
+    gymnasium.register("Bare", "tests.evaluation.test_dataset:Bare")
+    yield "Bare"
+    del gymnasium.registry["Bare"]
+
+
+class Bare(gymnasium.Env):
+    observation_space = gymnasium.spaces.Box(0, 1, (2,))
+    action_space = gymnasium.spaces.Box(-1, 1, (6,))
+
+    def reset(self, **options):
+        return np.zeros(2, np.float32), {}
+
+    def step(self, action):
+        return np.zeros(2, np.float32), 0.0, True, False, {"is_success": True}
+
+
+@pytest.mark.parametrize("before", [None, "elsewhere"])
+def test_any_policy_and_id_has_a_name_that_minari_takes(tmp_path, monkeypatch, unnumbered, before):
+    monkeypatch.setenv("MINARI_DATASETS_PATH", before or "")
+    if before is None:
+        monkeypatch.delenv("MINARI_DATASETS_PATH")
+    dataset = record(f"{__name__}:still", unnumbered, 1, tmp_path / "new")
+    assert dataset.spec.dataset_id == "hpac/bare/tests-evaluation-v0"
+    assert os.environ.get("MINARI_DATASETS_PATH") == before
+
+
+def test_a_policy_is_recorded_in_its_own_environment_with_the_options_that_it_needs(tmp_path):
+    assert main(["record", "--policy", "gentle", "-n", "1", "--out", f"{tmp_path}/new"]) == 0
+    spec = read_dataset(tmp_path / "new").spec.env_spec
+    assert (spec.id, spec.kwargs["obs"]) == (GENTLE, "load")
 
 
 def test_pictures_are_not_cloned(tmp_path):

@@ -128,12 +128,6 @@ def test_every_worker_has_work_and_the_bar_moves_early(
     assert ran == sizes
 
 
-def test_outcomes_do_not_depend_on_how_many_worlds_are_in_a_batch():
-    options = {"engine": "mujoco"}
-    whole = evaluate(["scripted"], "HPAC-Grasp-v0", 5, options=options)
-    assert evaluate(["scripted"], "HPAC-Grasp-v0", 5, workers=2, options=options) == whole
-
-
 def test_a_policy_is_called_as_it_was_given_and_no_phases_are_told_of_a_task_without(capsys):
     words = ["--engine", "mujoco", "--episodes", "2", "--workers", "1"]
     assert main(["--policy", "posture", "--env", "HPAC-Posture-v1", *words]) == 0
@@ -145,7 +139,9 @@ def test_a_policy_is_called_as_it_was_given_and_no_phases_are_told_of_a_task_wit
     assert {line.count("|") for line in table_of.splitlines()} == {6}
 
 
-def test_ctrl_c_on_a_terminal_ends_an_evaluation_at_once():
+@pytest.mark.parametrize("seconds", [pytest.param(0.0, marks=pytest.mark.slow), 3.0])
+def test_ctrl_c_on_a_terminal_ends_an_evaluation_at_once(seconds):
+    """While the workers start, and while they work."""
     words = ["--policy", "scripted", "--engine", "mujoco", "--episodes", "400", "--workers", "2"]
     running = subprocess.Popen(
         [sys.executable, "-m", "hpac", "evaluate", *words],
@@ -158,7 +154,7 @@ def test_ctrl_c_on_a_terminal_ends_an_evaluation_at_once():
     try:
         wait_for(lambda: len(children.read_text().split()) >= 3)
         workers = children.read_text().split()
-        time.sleep(3.0)
+        time.sleep(seconds)
         os.killpg(running.pid, signal.SIGINT)
         _, complaints = running.communicate(timeout=10)
     finally:
@@ -216,6 +212,14 @@ def test_several_policies_are_compared_with_the_first_on_the_same_episodes(capsy
     assert list(printed["policies"]) == [*files, "scripted", "random"]
     assert [pair["over"] for pair in printed["differences"]] == [files[1], "scripted", "random"]
     assert [each["file"] for each in printed["files"]] == files
+
+
+def test_the_environment_and_its_options_are_those_of_the_first_policy_that_has_some(capsys):
+    words = ["--policy", "scripted", "--policy", "gentle", "--episodes", "1", "--workers", "1"]
+    assert main([*words, "--no-baselines", "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert (printed["env_id"], printed["options"]["obs"]) == ("hpac_gym:HPAC-Gentle-v0", "load")
+    assert list(printed["policies"]) == ["scripted", "learned"]
 
 
 def test_the_options_of_an_environment_are_passed_on_and_one_that_it_lacks_is_told():

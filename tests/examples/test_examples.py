@@ -43,14 +43,17 @@ def test_an_example_is_one_short_file_on_the_public_api(name):
     assert set(inside) <= {"hpac_gym.policies", "hpac_gym.policies.made_for", "hpac_gym.envs.sb3"}
 
 
-@pytest.mark.parametrize("name", WORDS)
-def test_an_example_trains_a_policy_wherever_it_is_copied(name, tmp_path):
+SHORT = ["--episodes=16", "--num-envs=8", "--batch-size=8"]  # all of its episodes are random
+
+
+@pytest.mark.parametrize(("name", "words"), [*WORDS.items(), ("one_step_sac", SHORT)])
+def test_an_example_trains_a_policy_wherever_it_is_copied(name, words, tmp_path):
     shutil.copy(EXAMPLES / f"{name}.py", tmp_path)
     only_the_package = tmp_path / "package"
     only_the_package.mkdir()
     (only_the_package / "hpac_gym").symlink_to(Path(hpac_gym.__file__).parent)
     env = os.environ | {"PYTHONPATH": str(only_the_package)}
-    line = [sys.executable, f"{name}.py", "--out", "run", *WORDS[name]]
+    line = [sys.executable, f"{name}.py", "--out", "run", *words]
     done = subprocess.run(line, cwd=tmp_path, env=env, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     written = tmp_path / "run" / WRITES[name]

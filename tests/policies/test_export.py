@@ -13,7 +13,7 @@ from hpac_gym.evaluation import evaluate
 from hpac_gym.model import HPAC
 from hpac_gym.policies import Actor, Closures, PolicyError, PolicyFile, read_policy, write_policy
 from hpac_gym.policies.export import export
-from hpac_gym.policies.loading import load_policy
+from hpac_gym.policies.loading import load_policy, needed_options
 from hpac_gym.policies.made_for import made_for
 from hpac_gym.policies.onnx_model import read_onnx
 from hpac_gym.policies.policy_file import SHIPPED
@@ -102,6 +102,17 @@ def test_it_acts_in_the_environment_as_the_policy_file_does(policy, folder, env)
         np.testing.assert_allclose(
             action, closures.actions(policy.actor(seen)[None], [step])[0], atol=1e-5
         )
+
+
+@pytest.mark.parametrize("name", ["gentle", "grasp-any-wrist"])
+def test_a_policy_that_needs_options_gives_them_when_it_is_exported_too(name, tmp_path):
+    export(SHIPPED[name], tmp_path)
+    assert needed_options(str(tmp_path)) == needed_options(name)
+    words = ["--policy", str(tmp_path), "--episodes", "1", "--workers", "1", "--no-baselines"]
+    assert called(evaluate, *words) == 0
+    page = (tmp_path / "README.md").read_text()
+    assert f"`observation`, float32 (n, {read_policy(name).actor.sizes[0]})" in page
+    assert ('`obs="load"`' in page) == (name == "gentle")
 
 
 def test_the_card_tells_layout_numbers_rate_and_hashes(policy, folder):

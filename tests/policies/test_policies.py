@@ -54,10 +54,19 @@ def test_a_batch_of_environments_is_acted_in_row_by_row_and_each_begins_when_it_
 
 def test_predicting_twice_from_a_state_gives_the_same():
     env = gymnasium.make(TINY)
-    for policy in (load_policy("scripted", env), LearnedPolicy(lambda seen: seen, 2)):
+    baselines = [load_policy(name, env) for name in ("scripted", "random")]
+    for policy in (*baselines, LearnedPolicy(lambda seen: seen, 2)):
         _, state = policy.predict(np.zeros(6, np.float32))
         (first, _), (again, _) = (policy.predict(np.ones(6), state) for _ in range(2))
         assert np.array_equal(first, again)
+
+
+def test_random_actions_differ_from_row_to_row_and_the_first_row_s_are_those_of_one_environment():
+    policy = load_policy("random", gymnasium.make(TINY))
+    (rows, _), (alone, _) = (policy.predict(np.zeros(shape)) for shape in ((3, 6), 6))
+    assert len(np.unique(rows, axis=0)) == 3
+    first = np.random.default_rng([0, 1]).uniform(-1, 1, 6).astype(np.float32)
+    np.testing.assert_array_equal([rows[0], alone], [first, first])
 
 
 def test_a_policy_is_evaluated_by_stable_baselines3_as_a_model_of_its_own():

@@ -96,10 +96,25 @@ DAMAGE = {
         path, policy=edit(closure={"goal": [0.0, 1.0]})
     ),
     "a closure of nonsense": lambda path: rewrite(path, policy=edit(closure={"goal": [1.0, 0.0]})),
+    "no archive of weights": lambda path: reweigh(path, b"PK\x03\x04"),
+    "means of two axes": lambda path: reweigh(path, observation_mean=np.zeros((6, 6))),
+    "biases of two axes": lambda path: reweigh(path, bias_0=np.zeros((8, 1), np.float32)),
     "a list for a description": lambda path: rewrite(path, policy=lambda data: "[]"),
     "broken json": lambda path: rewrite(path, policy=lambda data: data[:-5]),
     "another environment": lambda path: rewrite(path, policy=edit(env_id="HPAC-Grasp-v7")),
 }
+
+
+def reweigh(path, packed=None, **changes):
+    """Write the archive again with other weights, or other arrays among them, and their hash."""
+    with tarfile.open(path) as archive:
+        arrays = dict(np.load(io.BytesIO(archive.extractfile("actor.npz").read())))
+    if packed is None:
+        changed = io.BytesIO()
+        np.savez(changed, **arrays | changes)
+        packed = changed.getvalue()
+    sha256 = hashlib.sha256(packed).hexdigest()
+    rewrite(path, actor=lambda data: packed, policy=edit(sha256=sha256))
 
 
 def pack_folder(path):

@@ -84,6 +84,36 @@ def test_a_saved_model_acts_as_it_did_with_its_statistics_and_its_memory(name, t
     assert (state is not None) == (name == "RecurrentPPO")
 
 
+class Seeing(gymnasium.Env):
+    """It observes a picture beside a vector, as with `obs="image"`."""
+
+    observation_space = Dict(deploy=Box(-1, 1, (3,)), image=Box(0, 255, (36, 36, 3), np.uint8))
+    action_space = Box(-1, 1, (6,))
+
+    def reset(self, seed=None, options=None):
+        return self.observation_space.sample(), {}
+
+    def step(self, action):
+        return self.observation_space.sample(), 0.0, True, False, {}
+
+
+@pytest.mark.parametrize("normalized", [True, False])
+def test_a_model_that_observes_pictures_acts_as_it_did(normalized, tmp_path):
+    """In training Stable-Baselines3 puts the channels of a picture first."""
+    envs = DummyVecEnv([Seeing])
+    envs = VecNormalize(envs, norm_obs_keys=["deploy"]) if normalized else envs
+    model = sb3.PPO("MultiInputPolicy", envs, n_steps=4, batch_size=4, n_epochs=1, device="cpu")
+    model.learn(4).save(tmp_path / "model.zip")
+    if normalized:
+        envs.save(str(tmp_path / "vecnormalize.pkl"))
+    seen = Seeing.observation_space.sample()
+    policy = load_policy(str(tmp_path / "model.zip"), Seeing())
+    scaled = envs.normalize_obs(deepcopy(seen)) if normalized else seen
+    np.testing.assert_array_equal(
+        policy.predict(seen)[0], model.predict(scaled, None, None, True)[0]
+    )
+
+
 def test_a_recurrent_model_forgets_an_episode_when_the_next_begins(tmp_path):
     trained("RecurrentPPO", tmp_path)
     env = gymnasium.make(TINY)

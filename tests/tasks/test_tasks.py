@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from hpac_gym.model import FINGERS, HPAC, elastic_joints_from_servo
-from hpac_gym.physics.engine import PARTS, Contacts, SceneState
+from hpac_gym.physics.engine import PARTS, Contacts, SceneState, matrix_from_quaternion
 from hpac_gym.tasks.cameras import CameraNoise
+from hpac_gym.tasks.gentle import Gentle
 from hpac_gym.tasks.grasp import Grasp, GraspByName, GraspConfig
 from hpac_gym.tasks.grasp_any import GraspAny, GraspAnyConfig
-from hpac_gym.tasks.grasp_setups import GraspWeights
+from hpac_gym.tasks.grasp_setups import PALM_SURFACE, GraspWeights
 from hpac_gym.tasks.grasp_types import GraspByType, GraspTypeConfig
 from hpac_gym.tasks.pick_place import PickPlace, PickPlaceConfig
 from hpac_gym.tasks.posture import Posture
@@ -309,6 +310,19 @@ def test_what_no_world_is_paid_is_not_computed():
     for where in ([True, True, True], [True, False, True]):
         paid = paid_where(np.array(where), lambda: values)
         np.testing.assert_array_equal(paid, np.where(where, values, 0.0))
+
+
+@pytest.mark.parametrize("make", [Grasp, Gentle])
+@pytest.mark.parametrize("yaw", [-np.pi, -2.0, 0.3, 1.8, np.pi])
+def test_a_turned_box_keeps_its_gap_from_the_palm(make, yaw):
+    task = make({"box_yaw": (yaw, yaw), "gap": (0.01, 0.01)})
+    draws = (task.setup(np.random.default_rng(seed)) for seed in range(8))
+    boxes = [setup for setup in draws if setup.object.shape == "box"]
+    assert boxes
+    for setup in boxes:
+        turned = setup.hand_rotation.T @ matrix_from_quaternion(setup.object_turn[0])
+        nearest = setup.position[0] - np.abs(turned[0]) @ setup.object.half_extents
+        assert nearest == pytest.approx(PALM_SURFACE + 0.01)
 
 
 def test_a_failed_episode_is_no_success_although_it_is_over():
