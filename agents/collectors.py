@@ -22,7 +22,7 @@ from tqdm import tqdm
 from agents import RunError
 from agents.learner import Learner
 from agents.recipes import Recipe
-from agents.trials import Columns, Decider, Source, Trials, sizes_of, worlds_of
+from agents.trials import Columns, Source, Trials, sizes_of, worlds_of
 from hpac_gym.errors import install
 from hpac_gym.evaluation.environment import other_versions, versions
 from hpac_gym.evaluation.seeds import training_seed
@@ -166,7 +166,7 @@ class Collectors(Source):
         seed = training_seed(self._recipe.seed, self._done + place, self._recipe.num_envs)
         return place, self._make.remote(self._recipe, seed, versions())
 
-    def step(self, decider: Decider, meanwhile: Callable[[], None] = lambda: None) -> Columns:
+    def step(self, learner: Learner, meanwhile: Callable[[], None] = lambda: None) -> Columns:
         """Request chunks from idle collectors, call `meanwhile`, and wait briefly for a chunk.
 
         Returns:
@@ -176,7 +176,7 @@ class Collectors(Source):
             RunError: A collector cannot start, or its program failed.
         """
         if self._idle:
-            known = self._ray.put(knowledge(decider))
+            known = self._ray.put(knowledge(learner))
             for place, collector in self._idle:
                 self._running[collector.collect.remote(known)] = place, collector
             self._idle.clear()

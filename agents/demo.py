@@ -9,7 +9,6 @@ import sys
 import time
 from pathlib import Path
 
-from agents.recipes import RECIPES
 from hpac_gym.command import command_parser, minutes, run, whole_number
 from hpac_gym.output import writable_folder
 
@@ -30,22 +29,20 @@ OBJECT = ("--object", "cylinder:0.027,0.05", "--pose", "0.048,0.004,0.112")
 
 
 def steps(
-    recipe: str, out: Path, training_minutes: float, episodes: int, seed: int
+    out: Path, training_minutes: float, episodes: int, seed: int
 ) -> list[tuple[str, list[str]]]:
     """Title, and module with arguments, of every step."""
     policy = str(out / "policy.hpac")
     log = str(out / "deploy.jsonl")
-    engine, body = RECIPES[recipe].set_ups[0].split("/")
-    trained = ["--policy", policy, "--engine", engine, "--body", body]
-    train = ["agents.train", recipe, "--out", str(out), "--seed", str(seed), "--overwrite"]
-    judge = ["hpac", "evaluate", *trained, "--episodes", f"{episodes}", "--workers", "2"]
+    train = ["agents.train", "grasp", "--out", str(out), "--seed", str(seed), "--overwrite"]
+    judge = ["hpac", "evaluate", "--policy", policy, "--episodes", f"{episodes}", "--workers", "2"]
     results = ["--time-limit", f"{EVALUATION_MINUTES:g}", "--out", str(out / "results.json")]
     film = ["--episodes", "4", "--record", str(out / "grasps.mp4")]
     return [
         ("Train from random weights", [*train, "--time-limit", f"{training_minutes:g}"]),
         ("Judge it and the baselines", [*judge, *results]),
         ("Draw the learning curve", ["agents.curves", str(out)]),
-        ("Film it", ["hpac", "show", *trained, *film]),
+        ("Film it", ["hpac", "show", "--policy", policy, *film]),
         (
             "Deploy it, through a serial port, on the firmware",
             ["hpac", "deploy", policy, "--port", "host", *OBJECT, "--log", log],
@@ -56,9 +53,6 @@ def steps(
 
 def main(argv: list[str] | None = None) -> int:
     parser = command_parser("agents.demo", __doc__)
-    parser.add_argument(
-        "--recipe", choices=("grasp", "grasp-robust"), default="grasp", help="how to train"
-    )
     parser.add_argument("--out", type=Path, default=Path("runs/demo"), help="folder of the results")
     parser.add_argument("--minutes", type=minutes, default=10.0, help="training time")
     parser.add_argument(
@@ -69,7 +63,7 @@ def main(argv: list[str] | None = None) -> int:
     writable_folder(args.out)
     started = time.monotonic()
     for number, (title, words) in enumerate(
-        steps(args.recipe, args.out, args.minutes, args.episodes, args.seed)
+        steps(args.out, args.minutes, args.episodes, args.seed)
     ):
         print(f"\n== {title}\n   python -m {' '.join(words)}", flush=True)
         status = subprocess.run([sys.executable, "-m", *words], check=False).returncode

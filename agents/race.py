@@ -3,7 +3,8 @@ agents.race ppo --out runs/NAME``.
 
 Every contender runs on a MuJoCo batch, observes *deploy*, gets the dense reward and the same
 processor time. The folder gets ``policy.hpac``, updated every minute, and ``progress.csv``. A run
-cannot be resumed."""
+cannot be resumed. ``--set`` also takes the algorithm's arguments, such as ``gamma=0.9`` or
+``policy_kwargs.net_arch=64,64``, ``num_envs`` and ``action_repeat``."""
 
 import sys
 import time
@@ -22,13 +23,12 @@ from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecNormalize
 from torch import nn
 
 from agents import POLICY, RecipeError, RunError, target_of
-from agents.contenders import CONTENDERS, Contender, algorithm_of
+from agents.contenders import CONTENDERS, algorithm_of
 from agents.progress import CURVE, Progress
-from agents.recipes import add_settings, given_settings, with_settings
 from hpac_gym.command import command_parser, minutes, run
 from hpac_gym.envs.sb3 import HandVecEnv
 from hpac_gym.evaluation.environment import versions, with_object
-from hpac_gym.evaluation.options import add_env_options, env_options
+from hpac_gym.evaluation.options import add_env_options, env_options, with_set
 from hpac_gym.evaluation.seeds import training_seed
 from hpac_gym.output import writable_folder
 from hpac_gym.policies import Actor, PolicyFile, write_policy
@@ -80,7 +80,8 @@ class Decisions(VecEnvWrapper):
 
 
 def learner_of(
-    contender: Contender,
+    name: str,
+    settings: Mapping[str, Any],
     share: Callable[[], float],
     env_id: str = GRASP,
     options: Mapping[str, Any] = MappingProxyType({}),
@@ -88,36 +89,32 @@ def learner_of(
     """Create the algorithm with its worlds; `share` returns the elapsed share of its time, 0…1.
 
     Raises:
-        RecipeError: The environment does not observe a vector, or its library is not installed.
+        RecipeError: The environment does not observe a vector, the algorithm refuses a setting, or
+            its library is not installed.
     """
-    algorithm = algorithm_of(contender.algorithm)
-    squashed = contender.algorithm != "ppo"
-    worlds = HandVecEnv(
-        full_id(env_id), contender.num_envs, **{"engine": ENGINE} | with_object(options)
-    )
+    algorithm = algorithm_of(name)
+    squashed = name != "ppo"
+    own = dict(settings)
+    num_envs, repeat, rate = map(own.pop, ("num_envs", "action_repeat", "learning_rate"))
+    worlds = HandVecEnv(full_id(env_id), num_envs, **{"engine": ENGINE} | with_object(options))
     if not isinstance(worlds.observation_space, Box) or worlds.observation_space.shape[1:]:
         worlds.close()
         raise RecipeError(f"env is '{env_id}': its observation is not a vector")
-    decisions = Decisions(worlds, contender.action_repeat, None if squashed else BOUND)
-    own = {
-        name: value
-        for name, value in contender.settings.items()
-        if name in signature(algorithm).parameters
-    }
-    network = {"net_arch": list(contender.hidden)}
-    return algorithm(
-        "MlpPolicy",
-        VecNormalize(decisions, norm_reward=not squashed, gamma=contender.gamma, epsilon=1e-4),
-        **own
-        | {
-            "learning_rate": lambda _: contender.learning_rate * max(0.05, 1.0 - share()),
-            "seed": training_seed(contender.seed, 0, contender.num_envs),
-        },
-        policy_kwargs=network
-        if squashed
-        else network | {"activation_fn": nn.ReLU, "log_std_init": contender.log_std_init},
-        device="cpu",
-    )
+    decisions = Decisions(worlds, repeat, None if squashed else BOUND)
+    own["seed"] = training_seed(own["seed"], 0, num_envs)
+    # A new dictionary, since some algorithms add to it.
+    own["policy_kwargs"] = own["policy_kwargs"] | ({} if squashed else {"activation_fn": nn.ReLU})
+    try:
+        return algorithm(
+            "MlpPolicy",
+            VecNormalize(decisions, norm_reward=not squashed, gamma=own["gamma"], epsilon=1e-4),
+            learning_rate=lambda _: rate * max(0.05, 1.0 - share()),
+            device="cpu",
+            **own,
+        )
+    except (AssertionError, TypeError, ValueError) as error:
+        worlds.close()
+        raise RecipeError(f"{name} refuses its settings: {str(error).splitlines()[0]}") from error
 
 
 def actor_of(model: BaseAlgorithm) -> Actor:
@@ -173,7 +170,8 @@ def actor_of(model: BaseAlgorithm) -> Actor:
 
 
 def race(
-    contender: Contender,
+    name: str,
+    settings: Mapping[str, Any],
     out: Path,
     time_limit: float,
     env_id: str = GRASP,
@@ -182,19 +180,19 @@ def race(
     """Train a contender in the folder `out` for `time_limit` seconds of processor time.
 
     Raises:
-        RecipeError: The library of its algorithm is not installed.
+        RecipeError: The library of its algorithm is not installed, or it refuses a setting.
         RunError: The folder already holds a run, or the training diverged.
     """
-    algorithm_of(contender.algorithm)
-    if any((out / name).exists() for name in (POLICY, CURVE)):
+    algorithm_of(name)
+    if any((out / file).exists() for file in (POLICY, CURVE)):
         raise RunError(f"folder '{out}' already holds a run: name another one")
+    target = target_of(env_id, **{"engine": ENGINE} | options)
     writable_folder(out)
     torch.set_num_threads(1)
-    target = target_of(env_id, **{"engine": ENGINE} | options)
     progress = Progress(
         out, sys.maxsize, sys.maxsize, time_limit=time_limit, clock=time.process_time
     )
-    model = learner_of(contender, lambda: progress.share, env_id, options)
+    model = learner_of(name, settings, lambda: progress.share, env_id, options)
 
     def save() -> None:
         actor = actor_of(model)
@@ -202,9 +200,9 @@ def race(
             raise ValueError("its weights are not finite")
         about = {
             **target,
-            "algorithm": contender.algorithm,
-            "action_repeat": contender.action_repeat,
-            "settings": contender.settings | {"engine": ENGINE},
+            "algorithm": name,
+            "action_repeat": settings["action_repeat"],
+            "settings": {**settings, "engine": ENGINE},
             "episodes": progress.done,
             "decisions": model.num_timesteps,
             "processor_seconds": round(progress.seconds, 1),
@@ -232,7 +230,7 @@ def race(
     def metrics() -> dict[str, float]:
         """What the algorithm has logged lately."""
         told = model.logger.name_to_value.items()
-        return {name.removeprefix("train/"): value for name, value in told if np.isscalar(value)}
+        return {key.removeprefix("train/"): value for key, value in told if np.isscalar(value)}
 
     try:
         model.learn(sys.maxsize, callback=step)
@@ -254,16 +252,14 @@ def main(argv: list[str] | None = None) -> int:
         "--minutes", type=minutes, default=15.0, help="processor time of the training"
     )
     add_env_options(parser, f"id, also module:My-v0 (default: {GRASP})")
-    add_settings(parser, "settings of the algorithm", CONTENDERS)
     args = parser.parse_args(argv)
     env_id = args.env or GRASP
-    race(
-        with_settings(CONTENDERS[args.contender], given_settings(args, Contender)),
-        args.out,
-        60 * args.minutes,
-        env_id,
-        env_options(args, env_id),
-    )
+    settings = CONTENDERS[args.contender]
+    known = {*settings, *signature(algorithm_of(args.contender)).parameters}
+    own = [text for text in args.set if text.partition("=")[0].partition(".")[0] in known]
+    args.set = [text for text in args.set if text not in own]
+    settings = with_set(settings, own)
+    race(args.contender, settings, args.out, 60 * args.minutes, env_id, env_options(args, env_id))
     return 0
 
 

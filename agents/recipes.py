@@ -1,12 +1,10 @@
-"""Settings of trainings: frozen dataclasses, from whose fields commands make their options; the
-recipes of ``agents.train``.
-"""
+"""The recipes of ``agents.train``, whose options are made from the fields of one frozen dataclass."""
 
 from argparse import SUPPRESS, ArgumentParser, Namespace
 from collections.abc import Mapping
-from dataclasses import Field, dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from math import inf
-from typing import Any, TypeVar, get_type_hints
+from typing import Any, get_type_hints
 
 from agents import RecipeError
 from hpac_gym.envs.randomization import PRESETS
@@ -15,7 +13,6 @@ from hpac_gym.physics.simulation import SET_UPS
 from hpac_gym.policies import Closures
 from hpac_gym.registration import GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE
 
-Settings = TypeVar("Settings")
 _KINDS = {
     int: "a whole number",
     float: "a number",
@@ -24,109 +21,14 @@ _KINDS = {
 }
 
 
-def setting(
-    default: Any, meaning: str, low: float = 0.0, high: float = inf, of: tuple[str, ...] = ()
-) -> Any:
-    """Field with a number or a tuple of numbers in `low`…`high`; `of`: the names to which it
-    applies, if not to all.
-    """
-    return field(default=default, metadata={"meaning": meaning, "low": low, "high": high, "of": of})
+def setting(default: Any, meaning: str, low: float = 0.0, high: float = inf) -> Any:
+    """Field with a number or a tuple of numbers in `low`…`high`."""
+    return field(default=default, metadata={"meaning": meaning, "low": low, "high": high})
 
 
 def choice(default: Any, meaning: str, choices: tuple[str, ...]) -> Any:
     """Field with one of `choices`, or a tuple of them."""
     return field(default=default, metadata={"meaning": meaning, "choices": choices})
-
-
-def check(settings: Any) -> None:
-    """Compare settings with their bounds and choices.
-
-    Raises:
-        RecipeError: A setting is out of bounds or not one of its choices.
-    """
-    for entry in fields(settings):
-        value = getattr(settings, entry.name)
-        told = entry.metadata
-        for part in value if isinstance(value, tuple) else (value,):
-            if "choices" in told and part not in told["choices"]:
-                raise RecipeError(
-                    f"{entry.name} is '{part}': it must be one of {', '.join(told['choices'])}"
-                )
-            if "low" in told and not told["low"] <= part <= told["high"]:
-                raise RecipeError(
-                    f"{entry.name} is {part}: it must lie in {told['low']:g}…{told['high']:g}"
-                )
-
-
-def applies(entry: Field, name: str) -> bool:
-    """Whether a field of settings applies to the settings with this name."""
-    of = entry.metadata.get("of")
-    return not of or name in of
-
-
-def add_settings(parser: ArgumentParser, title: str, named: Mapping[str, Any]) -> None:
-    """Add an option for each setting, with its meaning and its default in each of the `named`
-    settings.
-    """
-    group = parser.add_argument_group(title)
-    for entry in fields(next(iter(named.values()))):
-        shown = {
-            name: _text(getattr(settings, entry.name))
-            for name, settings in named.items()
-            if applies(entry, name)
-        }
-        if not entry.metadata or not shown:
-            continue
-        choices = entry.metadata.get("choices")
-        text = entry.metadata["meaning"] + (f": {', '.join(choices)}" if choices else "")
-        text = text if len(shown) == len(named) else f"{', '.join(shown)}: {text}"
-        default = (
-            next(iter(shown.values()))
-            if len(set(shown.values())) == 1
-            else ", ".join(map(" ".join, shown.items()))
-        )
-        option = f"--{entry.name.replace('_', '-')}"
-        group.add_argument(
-            option,
-            metavar="VALUE",
-            default=SUPPRESS,
-            help=f"{text} (default: {default})".replace("%", "%%"),
-        )
-
-
-def _text(value: Any) -> str:
-    return ",".join(map(str, value)) if isinstance(value, tuple) else str(value)
-
-
-def given_settings(args: Namespace, kind: type) -> dict[str, str]:
-    """The settings given on the command line, as text."""
-    return {
-        entry.name: getattr(args, entry.name)
-        for entry in fields(kind)
-        if entry.metadata and hasattr(args, entry.name)
-    }
-
-
-def with_settings(settings: Settings, texts: Mapping[str, str]) -> Settings:
-    """The settings with some replaced by values given as text.
-
-    Raises:
-        RecipeError: A text is not a valid value of its setting.
-    """
-    types = get_type_hints(type(settings))
-    changes = {}
-    for name, text in texts.items():
-        kind = types[name]
-        try:
-            if kind in (str, int, float):
-                changes[name] = kind(text)
-            else:
-                changes[name] = tuple(
-                    kind.__args__[0](word.strip()) for word in text.split(",") if word.strip()
-                )
-        except ValueError:
-            raise RecipeError(f"{name} is '{text}': it must be {_KINDS[kind]}") from None
-    return replace(settings, **changes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,7 +111,18 @@ class Recipe:
     """Folders of finished runs whose trials the run learns from, instead of new ones."""
 
     def __post_init__(self) -> None:
-        check(self)
+        for entry in fields(self):
+            value = getattr(self, entry.name)
+            told = entry.metadata
+            for part in value if isinstance(value, tuple) else (value,):
+                if "choices" in told and part not in told["choices"]:
+                    raise RecipeError(
+                        f"{entry.name} is '{part}': it must be one of {', '.join(told['choices'])}"
+                    )
+                if "low" in told and not told["low"] <= part <= told["high"]:
+                    raise RecipeError(
+                        f"{entry.name} is {part}: it must lie in {told['low']:g}…{told['high']:g}"
+                    )
         if self.script_std and self.env_id != GRASP_TYPE:
             raise RecipeError(
                 f"script_std is {self.script_std:g}: only {GRASP_TYPE} has a script for it, not {self.env_id}"
@@ -274,6 +187,37 @@ RECIPES: Mapping[str, Recipe] = {
 }
 
 
+def given_settings(args: Namespace) -> dict[str, str]:
+    """The settings given on the command line, as text."""
+    return {
+        entry.name: getattr(args, entry.name)
+        for entry in fields(Recipe)
+        if entry.metadata and hasattr(args, entry.name)
+    }
+
+
+def with_settings(recipe: Recipe, texts: Mapping[str, str]) -> Recipe:
+    """The recipe with some settings replaced by values given as text.
+
+    Raises:
+        RecipeError: A text is not a valid value of its setting.
+    """
+    types = get_type_hints(Recipe)
+    changes = {}
+    for name, text in texts.items():
+        kind = types[name]
+        try:
+            if kind in (str, int, float):
+                changes[name] = kind(text)
+            else:
+                changes[name] = tuple(
+                    kind.__args__[0](word.strip()) for word in text.split(",") if word.strip()
+                )
+        except ValueError:
+            raise RecipeError(f"{name} is '{text}': it must be {_KINDS[kind]}") from None
+    return replace(recipe, **changes)
+
+
 def add_recipe(parser: ArgumentParser) -> None:
     """Add the options of the environment and one for each setting of a recipe, for `recipe_of`."""
     add_env_options(
@@ -281,9 +225,20 @@ def add_recipe(parser: ArgumentParser) -> None:
         "id, also module:My-v0 (default: the recipe's)",
         but=("obs", "reward", "randomize", "hands"),
     )
-    add_settings(
-        parser, "settings of the recipe, with the defaults of 'grasp'", {"grasp": RECIPES["grasp"]}
-    )
+    group = parser.add_argument_group("settings of the recipe, with the defaults of 'grasp'")
+    for entry in fields(Recipe):
+        if not entry.metadata:
+            continue
+        choices = entry.metadata.get("choices")
+        text = entry.metadata["meaning"] + (f": {', '.join(choices)}" if choices else "")
+        value = getattr(RECIPES["grasp"], entry.name)
+        default = ",".join(map(str, value)) if isinstance(value, tuple) else value
+        group.add_argument(
+            f"--{entry.name.replace('_', '-')}",
+            metavar="VALUE",
+            default=SUPPRESS,
+            help=f"{text} (default: {default})".replace("%", "%%"),
+        )
 
 
 def recipe_of(args: Namespace) -> Recipe:
@@ -296,7 +251,7 @@ def recipe_of(args: Namespace) -> Recipe:
     if args.recipe not in RECIPES:
         raise RecipeError(f"unknown recipe '{args.recipe}': known are {', '.join(sorted(RECIPES))}")
     recipe = RECIPES[args.recipe]
-    given = given_settings(args, Recipe)
+    given = given_settings(args)
     env_id = (args.env or recipe.env_id).removeprefix("hpac_gym:")
     options = env_options(args, env_id)
     chosen = {name: options.pop(name) for name in ("engine", "body") if name in options}

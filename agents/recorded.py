@@ -4,13 +4,14 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from agents import POLICY, RunError, target_of
 from agents.recipes import Recipe
 from agents.runs import latest_checkpoint
-from agents.trials import Columns, Decider, Source, Trials, sizes_of
+from agents.trials import Columns, Source, Trials, sizes_of
 from hpac_gym.policies import Closures, read_policy
 
 COLUMNS = tuple(Trials(0, 1, 1, 1).columns)
@@ -87,7 +88,7 @@ class Recorded(Source):
         )
         return (seen, decisions, survived, end_state), about["env_steps"]
 
-    def step(self, decider: Decider, meanwhile: Callable[[], None] = lambda: None) -> Columns:
+    def step(self, learner: Any, meanwhile: Callable[[], None] = lambda: None) -> Columns:
         """Call `meanwhile`; returns the next trials, as arguments of `Trials.add`."""
         meanwhile()
         rows = slice(self._next, self._next + self._chunk)

@@ -11,7 +11,6 @@ same held-out episodes and Wilson 95 % intervals; rows are printed when complete
 import json
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -23,14 +22,14 @@ from agents.curves import draw_trials
 from hpac_gym.command import command_parser, minutes, run, whole_number
 from hpac_gym.evaluation.evaluate import DEFAULT_ENV, env_id_of, evaluate
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
-from hpac_gym.evaluation.statistics import interquartile_mean, stratified_bootstrap
+from hpac_gym.evaluation.statistics import interquartile_mean, rate_text, stratified_bootstrap
 from hpac_gym.output import markdown, writable_file, write_text
 from hpac_gym.physics.simulation import SET_UPS, is_installed
 from hpac_gym.policies import read_policy
 from hpac_gym.tasks.phases import PHASES
 
 RANDOMIZED = ("nominal", "hand", "full")
-RACED = ("learner", "seed", "trials", "time [s]", "success [%]", f"lost in {', '.join(PHASES)}")
+RACED = ("learner", "seed", "trials", "time [s]", "success", f"lost in {', '.join(PHASES)}")
 Judge = Callable[[str, str, dict[str, str]], dict[str, Any]]
 """Evaluates a policy in an environment with options; returns its entry in the summary."""
 Row = tuple[tuple, list[dict[str, Any]]]
@@ -50,7 +49,8 @@ def elsewhere(policies: Sequence[str], judge: Judge) -> Iterator[Row]:
                 {"policy": policy, **each, **judge(policy, env_id_of(policy), each)}
                 for each in options
             ]
-            yield (policy, f"{engine} {body}", *map(_rate, cells)), cells
+            rates = [rate_text(cell["successes"], cell["episodes"]) for cell in cells]
+            yield (policy, f"{engine} {body}", *rates), cells
 
 
 def seeds(policies: Iterable[str], judge: Judge) -> Iterator[Row]:
@@ -80,7 +80,7 @@ def seeds(policies: Iterable[str], judge: Judge) -> Iterator[Row]:
                 *told.values(),
                 f"{about['episodes']:,}",
                 f"{_seconds(about):,.0f}",
-                _rate(cell),
+                rate_text(cell["successes"], cell["episodes"]),
                 lost,
             ),
             [cell],
@@ -124,7 +124,7 @@ def race(runs: Path, learners: Sequence[str], number: int, limit: float) -> Iter
                 raise KeyboardInterrupt  # the training has taken Ctrl-C, and saved
         elif not (out / POLICY).exists():
             try:
-                race.race(replace(race.CONTENDERS[name], seed=seed), out, 60 * limit)
+                race.race(name, race.CONTENDERS[name] | {"seed": seed}, out, 60 * limit)
             except RecipeError as missing:
                 print(f"{missing}; its row is left out", file=sys.stderr)
                 continue
@@ -142,11 +142,6 @@ def race(runs: Path, learners: Sequence[str], number: int, limit: float) -> Iter
 def _seconds(about: dict[str, Any]) -> float:
     """Time of a training, of the processor if it was limited so [s]; 0 if it is unknown."""
     return about.get("processor_seconds") or about.get("seconds") or 0.0
-
-
-def _rate(cell: dict[str, Any]) -> str:
-    low, high = cell["interval_95"]
-    return f"{100 * cell['success_rate']:.1f} [{100 * low:.0f}, {100 * high:.0f}]"
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -14,7 +14,7 @@ import signal
 import sys
 import time
 from argparse import Namespace
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
@@ -51,7 +51,6 @@ from hpac_gym.policies import PolicyFile, write_policy
 
 if TYPE_CHECKING:
     from agents.learner import Learner
-    from hpac_gym.tasks.task import Task
 
 
 def train(
@@ -62,7 +61,6 @@ def train(
     time_limit: float = float("inf"),
     started: float | None = None,
     nodes: int = 0,
-    make: Callable[[Recipe], Task] | None = None,
 ) -> int:
     """Train a recipe in the folder ``out``, from its checkpoint if it has one, and return the exit
     status.
@@ -70,8 +68,7 @@ def train(
     ``fresh`` replaces a run in the folder, which is kept until everything that the new one needs
     was found. ``time_limit`` [s] ends the training cleanly, counted from ``started`` on the
     monotonic clock. If ``nodes`` is positive, that many collectors of `agents.collectors` try the
-    closures. ``make`` makes a task of the recipe for each of its set-ups; None is
-    `agents.trials.training_task`.
+    closures.
 
     Raises:
         RunError: The training diverged, or its folder cannot be read or written.
@@ -97,7 +94,7 @@ def train(
         sources = [recorded]
         tried = recorded.tried
     else:
-        sources = [*worlds_of(recipe, make or training_task)]
+        sources = [*worlds_of(recipe)]
     first = sources[0]
     learner = Learner(recipe, first.observed, first.deployed, first.phases)
     state = {"seconds": 0.0, "env_steps": 0}
@@ -175,13 +172,12 @@ def learn_once(sources: Sequence[Source], learner: Learner, progress: Progress) 
     return going
 
 
-def main(argv: list[str] | None = None, make: Callable[[Recipe], Task] | None = None) -> int:
-    """The command; ``make`` is as in `train`."""
+def main(argv: list[str] | None = None) -> int:
     started = time.monotonic()
     args = parsed(argv)
     recipe = _resumed_recipe(args) if args.resume else _fresh_recipe(args)
     limits = {"time_limit": 60 * args.time_limit, "started": started}
-    return train(recipe, args.out, fresh=not args.resume, nodes=args.nodes, make=make, **limits)
+    return train(recipe, args.out, fresh=not args.resume, nodes=args.nodes, **limits)
 
 
 def parsed(argv: list[str] | None = None) -> Namespace:
@@ -260,7 +256,7 @@ def _with_trials(recipe: Recipe, args: Namespace) -> Recipe:
 
 
 def _resumed_recipe(args: Namespace) -> Recipe:
-    given = given_settings(args, Recipe)
+    given = given_settings(args)
     others = {"env": args.env} | env_options(args, args.env or "")
     if (
         args.recipe is not None

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -67,16 +67,6 @@ class Trials:
         self.count += room
 
 
-class Decider(Protocol):
-    """What chooses the closures to try, such as `agents.learner.Learner`."""
-
-    def decide(self, seen: np.ndarray) -> np.ndarray:
-        """Decisions, −1…1, shape (n, m), for first observations, shape (n, observed)."""
-
-    def accepted(self, seen: np.ndarray, decisions: np.ndarray) -> np.ndarray:
-        """Which of these trials to run, shape (n,)."""
-
-
 class Source(Protocol):
     """What gives trials to a learner: worlds, collectors on other machines, or finished runs.
 
@@ -95,8 +85,10 @@ class Source(Protocol):
     def start(self, seed: int) -> None:
         """Begin new episodes, if they are begun here."""
 
-    def step(self, decider: Decider, meanwhile: Callable[[], None] = lambda: None) -> Columns:
-        """Call `meanwhile`, and return the trials that have ended since the last step."""
+    def step(self, learner: Any, meanwhile: Callable[[], None] = lambda: None) -> Columns:
+        """Call `meanwhile`, and return the trials that have ended since the last step; `learner`,
+        an `agents.learner.Learner`, decides on the closures to try.
+        """
 
     def close(self) -> None:
         """Free what the source holds; may be called repeatedly."""
@@ -158,11 +150,11 @@ class Worlds(Source):
         ]
         self._fresh = np.ones(self.steps, dtype=bool)
 
-    def step(self, decider: Decider, meanwhile: Callable[[], None] = lambda: None) -> Columns:
+    def step(self, learner: Any, meanwhile: Callable[[], None] = lambda: None) -> Columns:
         """Advance all worlds by one control period.
 
         Args:
-            decider: makes the decisions and selects the trials to run.
+            learner: makes the decisions and selects the trials to run.
             meanwhile: called while another thread runs the physics, to use two cores.
 
         Returns:
@@ -175,8 +167,8 @@ class Worlds(Source):
             self.episodes.reset(worlds.tolist(), [self._generators[world] for world in worlds])
             self.first_seen[worlds] = self._seen()[worlds]
             self._steps[worlds] = 0
-            self._decisions[worlds] = decider.decide(self.first_seen[worlds])
-            worlds = worlds[~decider.accepted(self.first_seen[worlds], self._decisions[worlds])]
+            self._decisions[worlds] = learner.decide(self.first_seen[worlds])
+            worlds = worlds[~learner.accepted(self.first_seen[worlds], self._decisions[worlds])]
         phase = self.episodes.now.phase.copy()
         actions = self._closures.actions(self._decisions, self._steps).astype(np.float32)
         physics = self._thread.submit(self.episodes.step, actions)
@@ -224,11 +216,11 @@ def training_task(recipe: Recipe) -> Task:
     return task
 
 
-def worlds_of(recipe: Recipe, make: Callable[[Recipe], Task] = training_task) -> list[Worlds]:
-    """The worlds of each set-up of a recipe, each with a task that `make` makes; they need a
+def worlds_of(recipe: Recipe) -> list[Worlds]:
+    """The worlds of each set-up of a recipe, each with a task of its own; they need a
     `Worlds.start`.
     """
-    return [Worlds(make(recipe), recipe, place) for place in range(len(recipe.set_ups))]
+    return [Worlds(training_task(recipe), recipe, place) for place in range(len(recipe.set_ups))]
 
 
 def sizes_of(recipe: Recipe) -> tuple[int, int, int]:

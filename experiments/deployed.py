@@ -196,7 +196,6 @@ def main(argv: list[str] | None = None) -> int:
     )
     parser.add_argument("--policy", default="grasp")
     parser.add_argument("--episodes", type=whole_number(1), default=1000, help="for each link")
-    parser.add_argument("--links", nargs="+", choices=LINKS, default=list(LINKS))
     parser.add_argument("--workers", type=whole_number(1), default=os.cpu_count() or 1)
     parser.add_argument("--out", type=Path, default=OUT, metavar="JSON")
     arguments = parser.parse_args(argv)
@@ -205,10 +204,10 @@ def main(argv: list[str] | None = None) -> int:
         return 0
     last = HELD_OUT_SEED + arguments.episodes
     jobs = [
-        (arguments.policy, arguments.links, list(range(first, min(first + 10, last))))
+        (arguments.policy, list(LINKS), list(range(first, min(first + 10, last))))
         for first in range(HELD_OUT_SEED, last, 10)
     ]
-    by_link: dict[str, list[tuple]] = {name: [] for name in arguments.links}
+    by_link: dict[str, list[tuple]] = {name: [] for name in LINKS}
     for rows in shared(pairs, jobs, arguments.workers, "episodes"):
         for name, *row in rows:
             by_link[name].append(tuple(row))

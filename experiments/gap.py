@@ -155,23 +155,22 @@ def main(argv: list[str] | None = None) -> int:
     parser = command_parser("experiments.gap", __doc__)
     parser.add_argument("--policy", default="grasp")
     parser.add_argument("--episodes", type=whole_number(BATCH), default=240, help="for each row")
-    parser.add_argument("--rows", nargs="+", choices=ROWS, default=list(ROWS))
     parser.add_argument("--workers", type=whole_number(1), default=os.cpu_count() or 1)
     parser.add_argument("--out", type=Path, default=OUT, metavar="JSON")
     arguments = parser.parse_args(argv)
     blocks = arguments.episodes // BATCH
     jobs = [
         (arguments.policy, row, block, [HELD_OUT_SEED + block * BATCH + i for i in range(BATCH)])
-        for row in arguments.rows
+        for row in ROWS
         for block in range(blocks)
     ]
-    held: dict[str, list[bool]] = {row: [] for row in arguments.rows}
+    held: dict[str, list[bool]] = {row: [] for row in ROWS}
     batches = shared(episodes, jobs, arguments.workers, "batches")
     for (_, row, *_), found in zip(jobs, batches, strict=True):
         held[row] += found
     cells = []
     for row, mine in held.items():
-        more = [a - b for a, b in zip(mine, held[arguments.rows[0]], strict=True)]
+        more = [a - b for a, b in zip(mine, held[NOMINAL], strict=True)]
         gain, *interval = paired_difference(more.count(1), more.count(-1), len(mine))
         counts = success_counts(sum(mine), len(mine))
         cells.append({"row": row, **counts, "difference": gain, "difference_95": interval})

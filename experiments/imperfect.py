@@ -144,16 +144,12 @@ def main(argv: list[str] | None = None) -> int:
     """Judge the hands with either protocol, print the table and write it."""
     parser = command_parser("experiments.imperfect", __doc__)
     parser.add_argument("--hands", type=whole_number(2), default=40, help="hands")
-    parser.add_argument(
-        "--chosen-on", action="store_true", help="the hands on which bounds were chosen"
-    )
     parser.add_argument("--out", type=Path, default=OUT, metavar="JSON")
     arguments = parser.parse_args(argv)
     writable_file(arguments.out)
-    start = CHOSEN_ON if arguments.chosen_on else JUDGED_ON
     judged_by = {}
     for name, both_ways in (("flexion alone", False), ("points both ways", True)):
-        seeds = progress(range(start, start + arguments.hands), name)
+        seeds = progress(range(JUDGED_ON, JUDGED_ON + arguments.hands), name)
         judged_by[name] = [judge(seed, both_ways) for seed in seeds]
     taken = {
         name: [hand for hand in hands if not hand.refused] for name, hands in judged_by.items()
@@ -163,7 +159,6 @@ def main(argv: list[str] | None = None) -> int:
         f"{name} {hand.seed}" for name in judged_by for hand in judged_by[name] if hand.refused
     ]
     command = f"python -m experiments.imperfect --hands {arguments.hands}"
-    command += " --chosen-on" if arguments.chosen_on else ""
     data = {
         "command": command,
         "bound": BOUND,

@@ -9,29 +9,19 @@ up, and each sweep has a camera set up anew, whose scale and plane are off. All 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
-from experiments.bench import rest_pose
-from hpac_gym.calibration.record import (
-    EXTENDING,
-    FLEXING,
-    REST,
-    Sweep,
-    concatenate,
-    joints_of_servo,
-)
-from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, SERVO_INDEX, SERVOS, Digit, Hand
+from experiments.bench import PROTOCOL, segment, wander
+from hpac_gym.calibration.record import Sweep, concatenate
+from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, SERVOS, Digit, Hand
 from hpac_gym.model.checks import Array
 from hpac_gym.model.variation import scaled_digit
 
 SEED = 33_400
 """First seed of the hands; no other experiment uses it."""
 CMC = len(SERVOS) - 1
-POINTS = 31
-POINT_S = 1.5
-HOLD_S = 0.5
-REST_S = 2.0
 RATE_HZ = 20.0
 _GRID = 160  # angles of the root joint at which a digit is tabulated
 _ROUNDS = 40
@@ -261,15 +251,10 @@ class Session:
 
     def seen(self, joint_pos: Array, time: Array, swept: int) -> Array:
         """What the camera makes of true angles (k, 15) at times (k,) [s], the digit in its plane."""
-        wander = np.zeros(len(time))
-        steps = np.deg2rad(0.06) * self.rng.standard_normal(len(time))
-        kept = np.exp(-np.diff(time) / 3.0)
-        wander[0] = steps[0]
-        for i, share in enumerate(kept, 1):
-            wander[i] = share * wander[i - 1] + np.sqrt(1 - share**2) * steps[i]
+        slow = wander(time, np.deg2rad(0.06), 3.0, self.rng)
         drift = np.deg2rad(0.15) * self.rng.standard_normal(len(JOINTS))
         seen = joint_pos * (1 + self.scale) + self.plane[swept] * np.sin(2 * joint_pos)
-        seen = seen + wander[:, None] + drift * ((time - time[0]) / np.ptp(time))[:, None]
+        seen = seen + slow[:, None] + drift * ((time - time[0]) / np.ptp(time))[:, None]
         return seen + self.noise * self.rng.standard_normal(seen.shape)
 
 
@@ -277,42 +262,15 @@ def swept(hand: ImperfectHand, session: Session, both_ways: bool) -> Sweep:
     """The record of one session: every servo in turn, the held frames of its points, and rests with
     slack tendons.
     """
-    return concatenate(
-        [_segment(hand, session, column, both_ways) for column in range(len(SERVOS))]
-    )
+    protocol = replace(PROTOCOL, both_directions=both_ways)
 
+    def one(column: int) -> Sweep:
+        return segment(
+            column,
+            protocol,
+            RATE_HZ,
+            lambda servo, time, _: hand.course(servo, column * (time[-1] + 10.0) + time, session),
+            partial(session.seen, swept=column),
+        )
 
-def _segment(hand: ImperfectHand, session: Session, column: int, both_ways: bool) -> Sweep:
-    point = np.arange(POINTS)
-    phase = np.full(POINTS, FLEXING)
-    if both_ways:
-        point = np.concatenate([point, point[::-1]])
-        phase = np.repeat([FLEXING, EXTENDING], POINTS)
-    held = round(HOLD_S * RATE_HZ) - 1
-    rest = round(REST_S * RATE_HZ)
-    ends = REST_S + POINT_S * np.arange(1, len(point) + 1)
-    holds = (ends[:, None] - np.arange(held)[::-1] / RATE_HZ).ravel()
-    time = np.concatenate(
-        [np.arange(rest) / RATE_HZ, holds, holds[-1] + (1 + np.arange(rest)) / RATE_HZ]
-    )
-    servo = np.tile(rest_pose(SERVOS[column]), (len(time), 1))
-    angles = np.linspace(HPAC.servo_min[column], HPAC.servo_max[column], POINTS)[point]
-    servo[:, column] = np.pad(np.repeat(angles, held), rest)
-    start = column * (time[-1] + 10.0)
-    joint_pos = hand.course(servo, start + time, session)
-    still = np.ones(len(JOINTS), dtype=bool)
-    still[joints_of_servo(column)] = False
-    joint_pos[:, still] = 0.0
-    joint_pos[np.r_[:rest, -rest:0]] = 0.0
-    if column != CMC:
-        joint_pos[:, JOINT_INDEX["thumb_cmc"]] = servo[:, SERVO_INDEX["thumb_cmc"]]
-    zeros = np.zeros(len(time), dtype=int)
-    return Sweep(
-        zeros,
-        zeros + column,
-        np.pad(np.repeat(phase, held), rest, constant_values=REST),
-        np.pad(np.repeat(point, held), rest, constant_values=-1),
-        time,
-        servo,
-        session.seen(joint_pos, time, column),
-    )
+    return concatenate([one(column) for column in range(len(SERVOS))])

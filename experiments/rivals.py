@@ -2,11 +2,10 @@
 true joint angles.
 
 Every method maps one servo's angle to the angles of the joints that it moves, fitted to N sampling
-points. The main comparison is on hands whose physics none of the models contains (`OTHER_METAL`),
-in metal and in MuJoCo; the third one is on hands that obey the laws of the fit."""
+points, on hands in metal whose physics none of the models contains (`OTHER_METAL`)."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -14,7 +13,6 @@ from scipy import linalg, optimize
 
 from experiments.bench import JointCamera, metal_sweeps
 from experiments.populations import (
-    FIT_LAWS,
     NINE,
     OTHER_LAWS,
     SERVO,
@@ -24,11 +22,10 @@ from experiments.populations import (
     build,
     geometry,
 )
-from experiments.quasistatic import Built, hand_course
+from experiments.quasistatic import hand_course
 from experiments.results import Interval, Part, log_ticks, mean_of
-from experiments.rig import NEAR_STOP, rig_of
 from hpac_gym.calibration.identification import identify
-from hpac_gym.calibration.record import REST, Sweep, joints_of_servo
+from hpac_gym.calibration.record import REST, Sweep
 from hpac_gym.calibration.samples import digit_samples
 from hpac_gym.figures import new_figure
 from hpac_gym.model import (
@@ -50,50 +47,10 @@ UNITS = 6
 
 OTHER_METAL = Workshop({**STIFFNESS, **geometry(0.005)}, ZERO, OTHER_LAWS)
 """Hands whose physics is not the model's. All values are chosen."""
-HOME_METAL = replace(OTHER_METAL, metal=FIT_LAWS)
-"""Hands of the same tolerances that obey the laws of the fit."""
 COMMON_ERRORS = JointCamera(common_scale=0.002, common_wander=np.deg2rad(0.05), outliers=0.005)
 """A camera with errors common to all joints, 0.2 % of scale and a drift of 0.05° within seconds,
 and 0.5 % outliers.
 """
-Measured = tuple[list[Sweep], list[Array], list[Array]]
-"""Records of hands; servo angles (k, 6) and true joint angles (k, 15) at which each is judged
-[rad].
-"""
-
-
-def in_metal(built: list[Built], seed: int) -> Measured:
-    """Measure hands in the quasi-static simulation."""
-    return (
-        metal_sweeps(built, seed, COMMON_ERRORS, servos=SERVOS[:-1]),
-        [SERVO] * len(built),
-        list(hand_course(built, SERVO)),
-    )
-
-
-def in_mujoco(built: list[Built], seed: int) -> Measured:
-    """Measure hands in MuJoCo, which adds dynamics, and lacks guide pins and the return cable's
-    loss of tension.
-
-    True angles of a digit that rests at one of Table I's stops are NaN.
-    """
-    sweeps = [
-        rig_of(hand, "mujoco").seen_and_true(COMMON_ERRORS, seed + number)
-        for number, hand in progress(list(enumerate(built)), "sweeps in MuJoCo")
-    ]
-    for *_, truth in sweeps:
-        stopped = truth > HPAC.joint_max - NEAR_STOP
-        for joints in map(joints_of_servo, range(len(SERVOS) - 1)):
-            truth[np.ix_(stopped[:, joints].any(axis=1), joints)] = np.nan
-    return tuple(map(list, zip(*sweeps, strict=True)))
-
-
-RACES = {
-    "rivals": ("physics that is not the model's", OTHER_METAL, in_metal),
-    "rivals-in-mujoco": ("hands in MuJoCo, EA/L in both segments", OTHER_METAL, in_mujoco),
-    "rivals-at-home": ("physics of the fit", HOME_METAL, in_metal),
-}
-"""Title, hands and measurement of every comparison, by the name of the part."""
 Predictor = Callable[[Array], Array]
 """Function from servo angles (k,) to joint angles (k, joints)."""
 
@@ -203,26 +160,20 @@ class Race:
     """Error caused by the camera's scale error alone."""
 
 
-def run_race(
-    workshop: Workshop,
-    hands: int,
-    seed: int,
-    samples: tuple[int, ...] = SAMPLES,
-    measure: Callable = in_metal,
-) -> Race:
+def run_race(hands: int, seed: int, samples: tuple[int, ...] = SAMPLES) -> Race:
     """Fit every method to random points of one sweep of each hand, and evaluate it against the true
     joint angles.
 
     Args:
-        workshop: tolerances of the hands.
         hands: number of hands; each has its own choice of training points.
         seed: seed of hands, camera, choices and the network's initial weights.
         samples: numbers of training points of each servo.
-        measure: `in_metal` or `in_mujoco`.
     """
-    measured = list(zip(*measure(build(workshop, hands, seed), seed), strict=True))
+    built = build(OTHER_METAL, hands, seed)
+    records = metal_sweeps(built, seed, COMMON_ERRORS, servos=SERVOS[:-1])
+    truths = list(hand_course(built, SERVO))
     untrained = {
-        name: mean_of([_error(model(servo), truth) for _, servo, truth in measured])
+        name: mean_of([_error(model(SERVO), truth) for truth in truths])
         for name, model in UNTRAINED.items()
     }
     errors: dict[str, dict[int, list[float]]] = {
@@ -230,11 +181,11 @@ def run_race(
     }
     for number, hand in progress([(n, h) for n in samples for h in range(hands)], "rivals"):
         rng = np.random.default_rng([seed, number, hand])
-        for name, value in _errors_of_hand(*measured[hand], number, rng).items():
+        for name, value in _errors_of_hand(records[hand], truths[hand], number, rng).items():
             errors[name][number].append(value)
     scale = [
         COMMON_ERRORS.common_scale * np.sqrt(2 / np.pi) * _error(np.zeros_like(truth), truth)
-        for *_, truth in measured
+        for truth in truths
     ]
     trained = {
         name: {n: mean_of(values) for n, values in table.items()} for name, table in errors.items()
@@ -243,7 +194,7 @@ def run_race(
 
 
 def _errors_of_hand(
-    record: Sweep, servo: Array, truth: Array, number: int, rng: np.random.Generator
+    record: Sweep, truth: Array, number: int, rng: np.random.Generator
 ) -> dict[str, float]:
     """Errors of all methods for one hand. All get the same points: means of the samples without
     outliers.
@@ -259,10 +210,10 @@ def _errors_of_hand(
             predictor = fit(
                 samples.servo[which], samples.joint_pos[which], rng, _model_of(swept, joints)
             )
-            predicted[name][:, joints] = predictor(servo[:, swept])
+            predicted[name][:, joints] = predictor(SERVO[:, swept])
     for name, papers in IDENTIFIED.items():
         hand = identify(record[few], least_points=min(SAMPLES), papers_model=papers).hand
-        predicted[name] = settled_joints_from_servo(servo, hand)
+        predicted[name] = settled_joints_from_servo(SERVO, hand)
     return {name: _error(angles, truth) for name, angles in predicted.items()}
 
 
@@ -284,10 +235,10 @@ def _error(predicted: Array, truth: Array) -> float:
     return float(np.degrees(np.nanmean(np.abs(predicted - truth)[:, NINE])))
 
 
-def rivals(stem: str, count: int, seed: int, samples: tuple[int, ...] = SAMPLES) -> Part:
-    """Run one of the `RACES`, with its figure."""
-    title, workshop, measure = RACES[stem]
-    race = run_race(workshop, count, seed, samples, measure)
+def rivals(count: int, seed: int, samples: tuple[int, ...] = SAMPLES) -> Part:
+    """Run the comparison, with its figure."""
+    title = "physics that is not the model's"
+    race = run_race(count, seed, samples)
     lines = [f"## Rival calibrations on {title}: mean absolute error of the nine joints [°]", ""]
     lines += [f"{count} hands, seed {seed}; mean and 95 % interval.", ""]
     body = [(name, *table.values()) for name, table in race.trained.items()]
@@ -301,7 +252,7 @@ def rivals(stem: str, count: int, seed: int, samples: tuple[int, ...] = SAMPLES)
         "",
     ]
     caption = f"{count} hands, {title}, camera with common errors, seed {seed}"
-    return Part("\n".join(lines), race, {stem: race_figure(race)}, caption)
+    return Part("\n".join(lines), race, {"rivals": race_figure(race)}, caption)
 
 
 def race_figure(race: Race) -> Figure:

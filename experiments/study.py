@@ -87,12 +87,6 @@ def _hands(arguments: argparse.Namespace, usual: int) -> int:
 # The parts: interpretation of the options -------------------------------------------------
 
 
-def _rivals(stem: str, options: argparse.Namespace) -> Part:
-    return rivals.rivals(
-        stem, _hands(options, 8), options.seed, (3, 8) if options.quick else rivals.SAMPLES
-    )
-
-
 def _commands(
     name: str, workshop: Workshop, maps: Collection[str], options: argparse.Namespace
 ) -> Part:
@@ -113,7 +107,9 @@ PARTS: dict[str, Callable[[argparse.Namespace], Part]] = {
     "seeds": lambda options: reference.seeds(
         2 if options.quick else options.seeds, {0.75: 1.0} if options.quick else reference.SPEEDS
     ),
-    **{name: partial(_rivals, name) for name in rivals.RACES},
+    "rivals": lambda options: rivals.rivals(
+        _hands(options, 8), options.seed, (3, 8) if options.quick else rivals.SAMPLES
+    ),
     "calibration": lambda options: hidden.calibration(
         _hands(options, 100),
         options.seed,
@@ -126,7 +122,10 @@ PARTS: dict[str, Callable[[argparse.Namespace], Part]] = {
     ),
     "commands": partial(_commands, COMMANDED, populations.WORKSHOPS[COMMANDED], commands.MAPS),
     "commands-other-laws": partial(
-        _commands, *rivals.RACES["rivals"][:2], commands.BEFORE_AND_AFTER
+        _commands,
+        "physics that is not the model's",
+        rivals.OTHER_METAL,
+        commands.BEFORE_AND_AFTER,
     ),
     "trials": _trials,
     "tracking": lambda options: tracking.tracking(

@@ -61,11 +61,9 @@ def test_there_are_such_tests():
 
 
 @pytest.mark.parametrize("left_out", [LONGEST, pytest.param("nothing", marks=pytest.mark.slow)])
-def test_the_same_tests_pass_with_the_rounding_of_an_old_processor(
-    left_out, old_processor, runs_here
-):
+def test_the_same_tests_pass_with_the_rounding_of_an_old_processor(left_out, old_processor):
     """All in one process, since loading the packages takes as long as some of the tests."""
-    names = [str(path.relative_to(REPOSITORY)) for path in FILES if runs_here(path)]
+    names = [str(path.relative_to(REPOSITORY)) for path in FILES]
     chosen = ["-m", "processor and not slow", "-k", f"not ({left_out})"]
     done = run("-m", "pytest", *names, "-rA", *chosen, "-p", "no:cacheprovider", **old_processor)
     assert done.returncode == 0, done.stdout[-3000:]

@@ -4,13 +4,11 @@ tools.env_bench`` measures the environments.
 Every figure is compared with a bare one of the same run: the same map without checks and names, or
 an interpreter's own start."""
 
-import argparse
-import json
 import resource
 import subprocess
 import sys
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from time import perf_counter
 
 import numpy as np
@@ -96,18 +94,9 @@ def start_row() -> Row:
     return Row("hpac --help", start, "ms", bare, start / bare)
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Run the command: measure and print."""
-    parser = argparse.ArgumentParser(
-        prog="python -m tools.bench", description="Speed of the model and of the command line."
-    )
-    parser.add_argument("--json", action="store_true", help="print one list of objects")
-    as_json = parser.parse_args(argv).json
-    rows = [*model_rows(), start_row()]
-    if as_json:
-        print(json.dumps([asdict(row) for row in rows], indent=2))
-        return 0
-    for row in rows:
+def main() -> int:
+    """Measure and print."""
+    for row in (*model_rows(), start_row()):
         print(
             f"{row.name:<40} {row.value:8.1f} {row.unit:<10} bare {row.bare:6.1f}   × {row.ratio:.1f}"
         )

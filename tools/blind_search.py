@@ -2,12 +2,11 @@
 ``python -m tools.blind_search``.
 
 For each seed, closures are sampled from the seed's own generator until one holds the object or
-`--tries` is reached. Results are written seed by seed, and a second call resumes where the first
+`TRIES` are reached. Results are written seed by seed, and a second call resumes where the first
 one ended. ``--blind`` instead prints the closure that holds the most episodes of training seeds,
 found by successive elimination, and evaluates it on the held-out seeds."""
 
 import sys
-from functools import partial
 from pathlib import Path
 
 import gymnasium
@@ -23,6 +22,8 @@ from hpac_gym.evaluation.workers import worker_pool
 
 ENV_ID = "HPAC-Grasp-v0"
 TARGET = Path(blind.__file__).parent / "data" / FILE
+TRIES = 256
+"""Most closures that are tried for a seed."""
 ROUNDS = ((128, 4), (32, 12), (8, 40), (2, 120))
 """Remaining closures and additional episodes per closure in each round of the search for a blind
 one.
@@ -43,14 +44,14 @@ def holds(closure: Closure, seed: int) -> bool:
     return last.success
 
 
-def search(seed: int, most: int) -> Try:
-    """Search the first successful closure of a seed, among at most ``most``."""
+def search(seed: int) -> Try:
+    """Search the first successful closure of a seed, among at most `TRIES`."""
     rng = np.random.default_rng([seed, 2])
-    for tries in range(1, most + 1):
+    for tries in range(1, TRIES + 1):
         closure = Closure.drawn(rng)
         if holds(closure, seed):
             return Try(seed, tries, closure)
-    return Try(seed, most, None)
+    return Try(seed, TRIES, None)
 
 
 def wins(closure: Closure, first_seed: int, episodes: int) -> int:
@@ -58,19 +59,19 @@ def wins(closure: Closure, first_seed: int, episodes: int) -> int:
     return sum(holds(closure, first_seed + number) for number in range(episodes))
 
 
-def search_all(work, seeds: range, most: int) -> None:
+def search_all(work, seeds: range) -> None:
     """Search and write the closures that are missing in the file."""
     rows = (
         TARGET.read_text(encoding="utf-8").splitlines() if TARGET.exists() else [",".join(COLUMNS)]
     )
     known = {result.seed: result for result in map(Try.of_row, rows[1:])}
     missing = [seed for seed in seeds if seed not in known]
-    for result in work(search, ((seed, most) for seed in missing)):
+    for result in work(search, ((seed,) for seed in missing)):
         known[result.seed] = result
         ordered = [known[seed].row() for seed in sorted(known)]
         TARGET.write_text("\n".join([",".join(COLUMNS), *ordered, ""]), encoding="utf-8")
     tries = [known[seed] for seed in seeds]
-    for within in sorted({1, 4, 16, 64, most}):
+    for within in (1, 4, 16, 64, TRIES):
         print(
             f"best of {within}: {rate_text(round(share_found(tries, within) * len(tries)), len(tries))}"
         )
@@ -110,15 +111,12 @@ def main(argv: list[str] | None = None) -> int:
         default=400,
         help=f"number of seeds, from {HELD_OUT_SEED} on",
     )
-    parser.add_argument(
-        "--tries", type=whole_number(1), default=256, help="maximal number of closures per seed"
-    )
     parser.add_argument("--engine", default="pybullet", help="physics engine")
     parser.add_argument("--workers", type=whole_number(1), default=1, help="number of processes")
     args = parser.parse_args(argv)
     seeds = range(HELD_OUT_SEED, HELD_OUT_SEED + args.seeds)
     with worker_pool(args.workers, prepare, (args.engine,)) as work:
-        partial(search_blind, work, seeds)() if args.blind else search_all(work, seeds, args.tries)
+        (search_blind if args.blind else search_all)(work, seeds)
     return 0
 
 

@@ -10,7 +10,6 @@ import hashlib
 import json
 from collections import Counter
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +21,6 @@ from experiments.agree import VARIATIONS
 from hpac_gym.evaluation.episodes import run_episodes, single
 from hpac_gym.evaluation.pictures import VIEW, VIEW_CENTRE, Portrait, contact_sheet
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
-from hpac_gym.evaluation.statistics import wilson_interval
 from hpac_gym.model import POSTURES
 from hpac_gym.output import markdown, replacing
 from hpac_gym.physics.engine import PARTS
@@ -135,31 +133,6 @@ def rule_table() -> str:
     return markdown(["grasp", "panel", "object", "held as", "rule"], rows)
 
 
-def success_table(hand: str) -> str:
-    """Success with its Wilson 95 % interval in every engine and body, with the number of holds in
-    brackets where it differs.
-    """
-    outcomes = {name: entry[hand] for name, entry in results().items()}
-    whole = {
-        set_up: {
-            key: sum(entry[set_up][key] for entry in outcomes.values())
-            for key in ("successes", "held", "episodes")
-        }
-        for set_up in SET_UPS
-    }
-    rows = []
-    for name, entry in {**outcomes, "all": whole}.items():
-        cells = []
-        for row in (entry[set_up] for set_up in SET_UPS):
-            low, high = wilson_interval(row["successes"], row["episodes"])
-            besides = f" (held {row['held']})" if row["held"] > row["successes"] else ""
-            cells.append(
-                f"{row['successes']} of {row['episodes']}, {low:.0%} … {high:.0%}{besides}"
-            )
-        rows.append([f"`{name}`" if name in GRASP_TYPES else name, *cells])
-    return markdown(["grasp", *SET_UPS], rows)
-
-
 def all_successes_table() -> str:
     """Successes with every kind of hands, in the order of `SET_UPS`, and the episodes of each."""
     outcomes = results()
@@ -179,19 +152,6 @@ def all_successes_table() -> str:
     first = next(iter(outcomes.values()))
     heads = [f"{hand}, of {first[hand][SET_UPS[0]]['episodes']}" for hand in HANDS]
     return markdown(["grasp", *heads], [*rows, ["all", *sums]])
-
-
-def contact_table() -> str:
-    """Share of contact and mean force of each part in the holds of the nominal hand's successes."""
-    rows = []
-    for name, entry in results().items():
-        shares, forces = (entry["nominal"][SET_UPS[0]][key] for key in ("touched", "force_newton"))
-        cells = [
-            f"{shares[part]:.0%}, {forces[part]:.1f} N" if shares.get(part) else "–"
-            for part in PARTS
-        ]
-        rows.append([f"`{name}`", *cells])
-    return markdown(["grasp", *PARTS], rows)
 
 
 def picture(path: Path) -> None:
@@ -219,14 +179,6 @@ def picture(path: Path) -> None:
             portraits[name] = Portrait(np.asarray(pixels), last.success)
     with replacing(path) as temporary:
         contact_sheet(portraits).save(temporary, format="PNG", optimize=True)
-
-
-TABLES = {
-    "types": rule_table,
-    "contacts": contact_table,
-    **{f"types-{hand}": partial(success_table, hand) for hand in HANDS},
-}
-"""The tables of ``docs/grasps.md`` by name."""
 
 
 def main() -> None:

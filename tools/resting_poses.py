@@ -112,9 +112,6 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument(
         "names", nargs="*", help="names or name prefixes of the objects to update (default: all)"
     )
-    parser.add_argument(
-        "--recheck", action="store_true", help="only check the poses of the file in both engines"
-    )
     given = parser.parse_args(argv)
     names = tuple(given.names) or ("",)
     objects = list(
@@ -124,11 +121,10 @@ def main(argv: list[str] | None = None) -> int:
     )
     entries = tomllib.loads(FILE.read_text(encoding="utf-8")) if FILE.exists() else {}
     wanted = [entry for entry in objects if entry[0].name.startswith(names)]
-    if not given.recheck:
-        entries |= {
-            model.name: poses_of(model, friction)
-            for model, friction in progress(wanted, "Resting poses")
-        }
+    entries |= {
+        model.name: poses_of(model, friction)
+        for model, friction in progress(wanted, "Resting poses")
+    }
     without_restless(wanted, entries)
     text = HEADER
     for name in (model.name for model, _ in objects if model.name in entries):

@@ -11,7 +11,6 @@ from hpac_gym.evaluation.blind import scale_of, share_found, winning_closures
 from hpac_gym.evaluation.statistics import rate_text, wilson_interval
 from hpac_gym.output import markdown
 from hpac_gym.registration import GRASP
-from tools.grasp_types import TABLES as TYPE_TABLES
 
 DOCS = Path(__file__).parents[1] / "docs"
 GENTLE_LIMITS = ("2.5 to 3 N", "3 to 4 N", "4 to 5 N", "all")
@@ -87,9 +86,6 @@ def measured_page() -> str:
         commands = [f"`{command.strip()}`" for command in table["command"].split("; ")]
         drawn = markdown(table["head"], table["rows"])
         parts += [f"### {table['title']}", "  \n".join(commands), table["note"], drawn]
-    parts += ["## Grasp types", "`python -m tools.grasp_types`"]
-    for name, make in TYPE_TABLES.items():
-        parts += [f"### {name}", make()] if name != "types" else []
     return "\n\n".join(parts) + "\n"
 
 

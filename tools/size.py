@@ -54,7 +54,7 @@ def files_of(names: Iterable[str]) -> list[Path]:
     """The Python files below some names of the root."""
     paths = [ROOT / name for name in names]
     return sorted(
-        file for path in paths for file in ([path] if path.is_file() else path.rglob("*.py"))
+        file for path in paths for file in ([path] if path.suffix else path.rglob("*.py"))
     )
 
 

@@ -9,7 +9,7 @@ from experiments.deployed import deployed_table
 from experiments.gap import gap_table
 from hpac_gym.registration import GENTLE, GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE, POSTURE
 from tools import result_tables
-from tools.grasp_types import TABLES as TYPE_TABLES, all_successes_table
+from tools.grasp_types import all_successes_table, rule_table
 from tools.result_tables import DOCS, experiment
 from tools.task_tables import PAGE_OF_ALL, Makers, object_table, task_tables
 
@@ -36,7 +36,7 @@ PAGES: dict[str, Makers] = {
     },
     "grasps.md": {
         "objects": object_table,
-        "types": TYPE_TABLES["types"],
+        "types": rule_table,
         "success": all_successes_table,
     },
 }

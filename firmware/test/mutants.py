@@ -21,7 +21,6 @@ import sys
 import tempfile
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
-from math import sqrt
 from pathlib import Path
 from threading import Lock
 
@@ -188,16 +187,6 @@ def _judge_once(
     return noticed[_key(mutant)]
 
 
-def wilson(hits: int, count: int) -> tuple[float, float]:
-    """Wilson's 95 % interval of a share."""
-    z = 1.96
-    share = hits / count
-    square = z * z / count
-    middle = share + square / 2
-    half = z * sqrt(share * (1 - share) / count + square / (4 * count))
-    return (middle - half) / (1 + square), (middle + half) / (1 + square)
-
-
 def judge_all(
     workshops: list[Workshop], mutants: list[Mutant], jobs: int, record: Path, sampled: bool
 ) -> int:
@@ -236,8 +225,13 @@ def judge_all(
             f"{name:20} {noticed + counts['survived']:8} {noticed:8} {counts['survived']:8} {equivalent:10}"
         )
     share = 100 * noticed / (noticed + total["survived"])
-    low, high = wilson(noticed, noticed + total["survived"])
-    of = f", a sample: 95 % interval {100 * low:.1f} to {100 * high:.1f} %" if sampled else ""
+    of = ""
+    if sampled:
+        # Imported here: the firmware's checks run without the package.
+        from hpac_gym.evaluation.statistics import wilson_interval
+
+        low, high = wilson_interval(noticed, noticed + total["survived"])
+        of = f", a sample: 95 % interval {100 * low:.1f} to {100 * high:.1f} %"
     print(
         f"mutants: {noticed} of {noticed + total['survived']} that change behaviour noticed, {share:.1f} % (mark: 95){of}"
     )

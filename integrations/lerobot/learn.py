@@ -33,8 +33,8 @@ from hpac_gym.virtual.body import LockStep
 
 STATE = (*ACTIONS, *PREDICTED, *POSE)
 RECORDED = 7_000_000
-JUDGED = 8_000_000
-"""First seeds of the episodes that are recorded, and of those that judge."""
+JUDGED = range(8_000_000, 8_000_100)
+"""First seed of the episodes that are recorded, and the seeds of those that judge."""
 robot.SILENCE = 1e6  # the clock is virtual: nothing is late
 
 Act = Callable[[np.ndarray, LockStep, Observer], np.ndarray]
@@ -127,7 +127,6 @@ def main() -> int:
     parser.add_argument("--out", type=Path, required=True, help="a new folder")
     parser.add_argument("--episodes", type=int, default=50)
     parser.add_argument("--steps", type=int, default=2000, help="gradient steps")
-    parser.add_argument("--rollouts", type=int, default=100)
     options = parser.parse_args()
     torch.set_num_threads(1)
     made = make_env("HPAC-Grasp-v0", engine="mujoco", body="light")
@@ -148,10 +147,9 @@ def main() -> int:
     with (options.out / "train.log").open("w") as log:
         subprocess.run([script, *words], check=True, stdout=log, stderr=log)
     folder = options.out / "train/checkpoints/last/pretrained_model"
-    seeds = range(JUDGED, JUDGED + options.rollouts)
     for name, act in {"ACT": learned(folder), "the shipped policy": shipped()}.items():
-        held = sum(episode(env, seed, act)[0] for seed in seeds)
-        print(f"{name}: {held} of {len(seeds)}, {rate_text(held, len(seeds))}", flush=True)
+        held = sum(episode(env, seed, act)[0] for seed in JUDGED)
+        print(f"{name}: {held} of {len(JUDGED)}, {rate_text(held, len(JUDGED))}", flush=True)
     made.close()
     return 0
 

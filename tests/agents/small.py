@@ -23,8 +23,8 @@ def words_of(settings: dict[str, str]) -> list[str]:
 SMALL = words_of(SETTINGS)
 
 
-def train_here(*words, make=None) -> None:
+def train_here(*words) -> None:
     """Train in this process, which has loaded the packages already; its signals stay its own."""
     with pytest.MonkeyPatch.context() as monkeypatch:
         monkeypatch.setattr(train, "_stop_on_signal", lambda progress: None)
-        assert train.main([str(word) for word in words], make) == 0
+        assert train.main([str(word) for word in words]) == 0

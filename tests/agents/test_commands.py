@@ -73,7 +73,7 @@ MISTAKES = [
         "policy': it is a folder",
     ),
     ("evaluate", "--policy {folder}/file --out {folder}/file", "file', a policy to evaluate"),
-    ("race", "sac --hidden , --out {folder}/race", "hidden needs at least one width"),
+    ("race", "sac --set tau2=1 --out {folder}/race", "unknown options tau2: there are grasp,"),
     ("race", "sac --out {folder}/bent", "already holds a run"),
     ("curves", "{folder}", "nothing to show"),
     (

@@ -5,8 +5,6 @@ in their own hands.
 import os
 import re
 import sys
-from dataclasses import fields, replace
-from inspect import signature
 from shutil import copyfile
 
 import numpy as np
@@ -16,6 +14,7 @@ from jax import tree
 from agents import RecipeError, RunError, race, reproduce, train
 from hpac_gym.command import INTERRUPTED, run
 from hpac_gym.envs.sb3 import HandVecEnv
+from hpac_gym.errors import HpacError
 from hpac_gym.policies import PolicyFile, read_policy, write_policy
 from hpac_gym.policies.policy_file import SHIPPED
 
@@ -34,8 +33,8 @@ FEW = {
 }
 
 
-def small(name: str) -> race.Contender:
-    return replace(race.CONTENDERS[name], num_envs=2, **FEW.get(name, FEW_UPDATES))
+def small(name: str) -> dict:
+    return race.CONTENDERS[name] | {"num_envs": 2} | FEW.get(name, FEW_UPDATES)
 
 
 SLOW = [
@@ -49,7 +48,7 @@ SLOW = [
     ("name", "trained"), [("ppo", True), ("crossq", True), ("sbx-crossq", False), *SLOW]
 )
 def test_the_policy_file_acts_as_the_trained_model_predicts(name, trained, tmp_path):
-    model = race.learner_of(small(name), share=lambda: 0.0)
+    model = race.learner_of(name, small(name), share=lambda: 0.0)
     random = np.random.default_rng(0)
     if trained:
         model.learn(40)
@@ -93,7 +92,7 @@ def test_the_table_of_the_race_trains_who_is_missing_and_judges_all(tmp_path, mo
     assert (about["algorithm"], about["settings"]["seed"], about["action_repeat"]) == (
         "sac",
         1,
-        small("sac").action_repeat,
+        small("sac")["action_repeat"],
     )
     with pytest.raises(RunError, match="already holds a run"):
         race.main(["sac", "--out", str(tmp_path / "sac-0")])
@@ -137,7 +136,7 @@ def test_a_training_that_diverges_ends_in_one_error(name, tmp_path, monkeypatch)
 
     monkeypatch.setattr(race, "learner_of", broken)
     with pytest.raises(RunError, match="diverged"):
-        race.race(small(name), tmp_path, time_limit=60.0)
+        race.race(name, small(name), tmp_path, time_limit=60.0)
 
 
 def test_without_sbx_one_line_names_the_extra_and_the_table_leaves_its_row_out(
@@ -161,64 +160,36 @@ def test_without_sbx_one_line_names_the_extra_and_the_table_leaves_its_row_out(
     assert not (tmp_path / "sbx-sac-0").exists()
 
 
-def test_help_shows_every_setting_with_its_default_for_each_algorithm(capsys):
-    with pytest.raises(SystemExit):
-        race.main(["--help"])
-    told = " ".join(capsys.readouterr().out.split())
-    assert all(
-        f"--{entry.name.replace('_', '-')} VALUE" in told
-        for entry in fields(race.Contender)
-        if entry.name != "algorithm"
-    )
-    assert (
-        "number of parallel worlds (default: ppo 128, sac 32, tqc 32, crossq 32, sbx-sac 32,"
-        in told
-    )
-    assert (
-        "sac, tqc, sbx-sac, sbx-tqc: step of the target networks towards the critics (default: 0.01)"
-        in told
-    )
-
-
-@pytest.mark.filterwarnings("ignore:You have specified a mini-batch size")
-@pytest.mark.parametrize("name", race.CONTENDERS)
-def test_every_setting_can_be_changed_and_reaches_its_algorithm(name):
-    contender = race.CONTENDERS[name]
-    changed = {"num_envs": 3, "hidden": (16,), "log_std_init": -1.0}
-    for key, value in contender.settings.items():
-        if key not in (*changed, "algorithm"):
-            changed[key] = value + 1 if isinstance(value, int) else 0.9 * value + 0.01
-    changed = {key: changed[key] for key in contender.settings if key in changed}
-    model = race.learner_of(replace(contender, **changed), share=lambda: 0.0)
-    own = set(changed) & set(signature(type(model)).parameters) - {"seed"}
-    assert set(changed) - own - {"log_std_init"} == {"num_envs", "seed", "action_repeat", "hidden"}
-    for key in own:
-        value = {**model.policy_kwargs, **vars(model)}[key]
-        value = value.frequency if key == "train_freq" else value(1.0) if callable(value) else value
-        assert value == changed[key] != getattr(contender, key), key
-    assert (model.env.num_envs, [len(bias) for _, bias in race.actor_of(model).layers]) == (
-        3,
-        [16, 6],
-    )
+def test_what_is_set_reaches_the_algorithm_the_worlds_and_the_environment(tmp_path, monkeypatch):
+    given = []
+    monkeypatch.setattr(race, "race", lambda *words: given.extend(words))
+    own = ["gamma=0.9", "num_envs=2", "n_steps=256", "policy_kwargs.net_arch=16,16"]
+    words = [word for text in (*own, "config.gap=0.01,0.02") for word in ("--set", text)]
+    race.main(["ppo", "--out", str(tmp_path), *words])
+    name, settings, *_, options = given
+    assert options == {"config": {"gap": [0.01, 0.02]}}
+    model = race.learner_of(name, settings, share=lambda: 0.0)
+    assert (model.gamma, model.n_steps, model.env.num_envs) == (0.9, 256, 2)
+    assert [len(bias) for _, bias in race.actor_of(model).layers] == [16, 16, 6]
+    assert model.policy.log_std[0] == race.CONTENDERS["ppo"]["policy_kwargs"]["log_std_init"]
     model.env.close()
 
 
 @pytest.mark.parametrize(
     ("words", "complaint"),
     [
-        ("ppo --tau 0.02", "tau is a setting of sac, tqc, sbx-sac, sbx-tqc, not of ppo"),
-        ("sac --gamma 2", "gamma is 2.0: it must lie in 0…1"),
-        ("crossq --n-steps few", "n_steps is 'few': it must be a whole number"),
-        (
-            "ppo --n-steps 1 --num-envs 1",
-            "num_envs and n_steps are 1: an update of ppo needs at least 2 decisions",
-        ),
+        ("ppo --set tau=0.02", "unknown options tau: there are grasp,"),
+        ("crossq --set gradient=1", "unknown options gradient: there are"),
+        ("ppo --set n_steps=few", "ppo refuses its settings: "),
+        ("ppo --set n_steps=1 --set num_envs=1", "ppo refuses its settings: "),
+        ("sac --set device=cuda", "sac refuses its settings: .* multiple values"),
     ],
 )
-def test_a_wrong_setting_is_refused_before_there_is_a_folder(words, complaint, tmp_path):
-    with pytest.raises(RecipeError, match=complaint):
+def test_a_wrong_setting_ends_in_one_line_and_leaves_no_run(words, complaint, tmp_path):
+    with pytest.raises(HpacError, match=complaint) as refused:
         race.main([*words.split(), "--out", str(tmp_path / "run")])
-    assert not (tmp_path / "run").exists()
+    assert "\n" not in str(refused.value)
+    assert not list(tmp_path.rglob("policy.hpac"))
 
 
 def test_a_decision_is_held_and_an_episode_that_begins_meanwhile_waits_with_an_open_hand():

@@ -291,6 +291,7 @@ def test_contacts_are_those_of_the_state_and_push_into_the_object(name):
     simulation.engine.close()
 
 
+@pytest.mark.pybullet
 def test_a_point_of_contact_in_pybullet_is_on_the_object_and_not_on_the_skin_inside_of_it():
     """The skin is 1e-5 m inside of a can that it squeezes."""
     can = ObjectSpec("cylinder", (0.027, 0.027, 0.05), mass=0.15, friction=0.9)
@@ -307,31 +308,6 @@ def test_a_point_of_contact_in_pybullet_is_on_the_object_and_not_on_the_skin_ins
     # A contact that lasts stays where it began: few are further off.
     assert np.median(np.abs(np.hypot(place[:, 0], place[:, 1]) - 0.027)) < 3e-6
     simulation.engine.close()
-
-
-@engines
-def test_a_snapshot_goes_on_to_the_bit(name):
-    """After another future of the episode, and after another episode."""
-    engine = make_engine(name)
-    start = setup(None, 3)
-    engine.reset([0], [start])
-    servo = np.tile(servo_from_synergy(CLOSED * 0.6), (1, 40, 1))
-    still = np.zeros((1, 40, 3))
-    engine.advance(servo, np.zeros_like(servo), still)
-    saved = engine.save(0)
-    told = []
-    for other in (False, True, False):
-        engine.advance(servo, np.zeros_like(servo), still)
-        told.append(engine.state())
-        if other:
-            engine.reset([0], [setup(None, 4)])
-        engine.advance(1.2 * servo, np.zeros_like(servo), still + 0.01)
-        engine.restore(0, saved)
-    for field in dataclasses.fields(SceneState):
-        first, *others = (getattr(state, field.name) for state in told)
-        for values in others:
-            np.testing.assert_array_equal(values, first, err_msg=field.name)
-    engine.close()
 
 
 @engines

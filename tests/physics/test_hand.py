@@ -7,8 +7,11 @@ import itertools
 from contextlib import closing
 
 import numpy as np
-import pybullet
 import pytest
+
+pytest.importorskip("pybullet")
+
+import pybullet
 
 from hpac_gym.errors import ParameterError
 from hpac_gym.model import FINGERS, HPAC, JOINT_INDEX, joints_from_synergy, servo_from_synergy

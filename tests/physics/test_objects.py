@@ -8,8 +8,11 @@ from collections.abc import Sequence
 from contextlib import closing
 
 import numpy as np
-import pybullet
 import pytest
+
+pytest.importorskip("pybullet")
+
+import pybullet
 
 from hpac_gym.body.object_models import ObjectModel, load_object_models, object_models_from_toml
 from hpac_gym.body.objects import ObjectSpec

@@ -4,8 +4,11 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-import pybullet
 import pytest
+
+pytest.importorskip("pybullet")
+
+import pybullet
 
 from hpac_gym.body.geometry import Capsule, link_poses, load_geometry
 from hpac_gym.body.urdf import (
