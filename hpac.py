@@ -7,6 +7,7 @@ import argparse
 import os
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pkgutil import resolve_name
@@ -176,7 +177,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit status."""
     # Modules of the current folder, such as the one that registers `--env mymodule:My-v0`. Last, so
     # that a file there hides no library.
-    sys.path.append(os.getcwd())
+    with suppress(OSError):  # a folder that was deleted
+        sys.path.append(os.getcwd())
     words = sys.argv[1:] if argv is None else argv
 
     def command() -> int:

@@ -174,6 +174,7 @@ def main(argv: list[str] | None = None) -> int:
         about = {
             **target,
             "algorithm": "behaviour cloning",
+            **({"obs": options["obs"]} if "obs" in options else {}),
             "settings": {"dataset": str(dataset.id), **settings, "hidden": HIDDEN},
             "episodes": len(episodes) + VISITS * rounds,
             "versions": versions(),

@@ -26,6 +26,14 @@ _SHARED = {
     "gamma": 0.95,
     "policy_kwargs": {"net_arch": [128, 128]},
 }
+BOUNDS: Mapping[str, tuple[Any, float, float]] = {
+    "seed": (int, 0, 2**31 - 1),
+    "num_envs": (int, 1, 65_536),
+    "action_repeat": (int, 1, 1_000),
+    "learning_rate": (int | float, 0, 1),
+    "gamma": (int | float, 0, 1),
+}
+"""Type, least and largest value of the arguments that the worlds need too."""
 _REPLAY = _SHARED | {
     "n_steps": 4,
     "learning_starts": 4_000,

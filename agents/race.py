@@ -23,7 +23,7 @@ from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecNormalize
 from torch import nn
 
 from agents import POLICY, RecipeError, RunError, target_of
-from agents.contenders import CONTENDERS, algorithm_of
+from agents.contenders import BOUNDS, CONTENDERS, algorithm_of
 from agents.progress import CURVE, Progress
 from hpac_gym.command import command_parser, minutes, run
 from hpac_gym.envs.sb3 import HandVecEnv
@@ -95,6 +95,14 @@ def learner_of(
     algorithm = algorithm_of(name)
     squashed = name != "ppo"
     own = dict(settings)
+    for key, (kind, least, most) in BOUNDS.items():
+        if not (isinstance(own[key], kind) and least <= own[key] <= most):
+            whole = "whole " * (kind is int)
+            raise RecipeError(
+                f"{name}: {key} is {own[key]!r}, must be a {whole}number from {least} to {most}"
+            )
+    if not isinstance(own["policy_kwargs"], Mapping):
+        raise RecipeError(f"{name}: policy_kwargs is {own['policy_kwargs']!r}, must have names")
     num_envs, repeat, rate = map(own.pop, ("num_envs", "action_repeat", "learning_rate"))
     worlds = HandVecEnv(full_id(env_id), num_envs, **{"engine": ENGINE} | with_object(options))
     if not isinstance(worlds.observation_space, Box) or worlds.observation_space.shape[1:]:
@@ -202,6 +210,7 @@ def race(
             **target,
             "algorithm": name,
             "action_repeat": settings["action_repeat"],
+            **({"obs": options["obs"]} if "obs" in options else {}),
             "settings": {**settings, "engine": ENGINE},
             "episodes": progress.done,
             "decisions": model.num_timesteps,

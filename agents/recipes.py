@@ -256,7 +256,8 @@ def recipe_of(args: Namespace) -> Recipe:
     options = env_options(args, env_id)
     chosen = {name: options.pop(name) for name in ("engine", "body") if name in options}
     for name in ("randomize", "hands"):  # settings of the recipe
-        options.pop(name, None)
+        if name in options:
+            given.setdefault(name, options.pop(name))
     if chosen:
         if "set_ups" in given:
             raise RecipeError("--engine and --body name one set-up: give them or --set-ups")

@@ -107,7 +107,7 @@ def train(
     target = target_of(recipe.env_id, **recipe.options, engine=recipe.set_ups[0].partition("/")[0])
     spent = done, state["env_steps"], state["seconds"]
     progress = Progress(out, recipe.episodes, recipe.env_steps, *spent, time_limit, started)
-    _stop_on_signal(progress)
+    before = _stop_on_signal(progress)
 
     def begin_episodes() -> None:
         learner.reseed(training_seed(recipe.seed, learner.trials.count, 1))
@@ -139,7 +139,8 @@ def train(
                 print(f"no picture: {error}", file=sys.stderr)
 
     begin_episodes()
-    going = done < recipe.episodes
+    room = state["env_steps"] + recipe.num_envs <= recipe.env_steps
+    going = done < recipe.episodes and room
     saved = done
     while going:
         going = learn_once(sources, learner, progress)
@@ -156,6 +157,13 @@ def train(
         f"{progress.stopped_by or 'done'} after {learner.trials.count:,} trials: {out / POLICY}",
         file=sys.stderr,
     )
+    if not learner.updates:
+        print(
+            f"it has learned nothing yet: updates begin after {recipe.random_episodes:,} trials",
+            file=sys.stderr,
+        )
+    for number, handler in before.items():
+        signal.signal(number, handler)
     return INTERRUPTED if progress.stopped_by == "interrupted" else 0
 
 
@@ -277,17 +285,16 @@ def _resumed_recipe(args: Namespace) -> Recipe:
     return recipe
 
 
-def _stop_on_signal(progress: Progress) -> None:
+def _stop_on_signal(progress: Progress) -> dict[int, Any]:
     """End the training with a checkpoint at the first Ctrl-C or SIGTERM, and immediately at the
-    second.
+    second. Returns the handlers that were there, by signal.
     """
 
     def stop(number: int, frame: Any) -> None:
         progress.stopped_by = "interrupted"
         signal.signal(number, signal.SIG_DFL)
 
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, stop)
+    return {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ from hpac_gym.envs import GraspAnyConfig, make_task
 from hpac_gym.envs.episodes import Episodes
 from hpac_gym.envs.options import COMMON, checked_options
 from hpac_gym.evaluation.environment import with_object
-from hpac_gym.registration import GRASP_ANY, GRASP_TYPE
+from hpac_gym.registration import GRASP_ANY, GRASP_TYPE, row_of
 from hpac_gym.settings import settings_from
 from hpac_gym.tasks.phases import Timetable
 from hpac_gym.tasks.task import CONTROL_HZ, RUNNING, SUCCESS, Task
@@ -139,6 +139,7 @@ class Worlds(Source):
         self._closures = recipe.closures
         self._decisions = np.zeros((count, len(self._closures.names)))
         self._steps = np.zeros(count, dtype=int)
+        self._most_steps = row_of(recipe.env_id).max_episode_steps or np.inf
         self._thread = ThreadPoolExecutor(1)
 
     def start(self, seed: int) -> None:
@@ -177,7 +178,7 @@ class Worlds(Source):
         self._steps += 1
         closing = phase <= self._close
         self._end_state[closing] = self._seen()[closing, self.deployed :]
-        self._fresh = self.episodes.outcome != RUNNING
+        self._fresh = (self.episodes.outcome != RUNNING) | (self._steps >= self._most_steps)
         ended = np.flatnonzero(self._fresh)
         held = self.episodes.outcome[ended] == SUCCESS
         survived = np.where(held, self.phases, phase[ended])

@@ -79,6 +79,8 @@ def run(command: Callable[[], int], unheard: bool = False) -> int:
             if sys.stdout is not None:
                 sys.stdout.flush()
     except BrokenPipeError:
+        if sys.stdout is None:
+            raise
         if hasattr(select, "poll"):  # not on Windows
             output = select.poll()
             output.register(sys.stdout, 0)  # its errors alone

@@ -124,6 +124,14 @@ def test_one_place_says_how_to_install_an_extra():
     assert not [path for path, text in texts.items() if re.search(r"hpac_gym\[|'\.\[", text)]
 
 
+def test_a_command_runs_in_a_folder_that_was_deleted(tmp_path):
+    script = "import os, sys, hpac\nos.rmdir(os.getcwd())\nsys.exit(hpac.main(['estop', '--help']))"
+    (tmp_path / "gone").mkdir()
+    done = python(script, cwd=tmp_path / "gone")
+    assert done.returncode == 0
+    assert "usage: hpac estop" in done.stdout
+
+
 def test_the_version_is_that_of_the_package():
     assert hpac("--version").stdout == f"hpac_gym {hpac_gym.__version__}\n"
     assert metadata.version("hpac_gym") == hpac_gym.__version__

@@ -178,7 +178,8 @@ def test_the_commands_take_it(folder):
 @pytest.mark.slow
 def test_learners_take_it(folder):
     race = COMMANDS[2].split()[1:]
-    run(folder, *race, "--minutes", "0.05", "--num-envs", "4", "--hidden", "8")
+    run(folder, *race, "--minutes", "0.05", "--set", "num_envs=4",
+        "--set", "policy_kwargs.net_arch=8,8")  # fmt: skip
     judged = run(
         folder, "-m", "hpac", "evaluate", "--policy", f"runs/gentle/{POLICY}", "--episodes", "2",
         "--engine", "mujoco", "--no-baselines",

@@ -121,7 +121,8 @@ def as_object(given: ObjectSpec | Mapping[str, Any]) -> ObjectSpec:
         OutputError: As in `own_object`.
     """
     try:
-        given = own_object(**given) if isinstance(given, Mapping) else given
+        if isinstance(given, Mapping):  # with a shape it is a spec, as a dataset keeps it
+            given = (ObjectSpec if "shape" in given else own_object)(**given)
     except TypeError as error:
         raise ParameterError(f"object {given!r}: {error}") from None
     if not isinstance(given, ObjectSpec):
@@ -227,6 +228,7 @@ def _decomposed(path: Path, settings: Mapping[str, Any]) -> list:
         isinstance(mesh, trimesh.Trimesh) and len(mesh.faces) and np.isfinite(mesh.vertices).all()
     ):
         raise ParameterError(f"'{path}' has no triangles with finite corners")
+    mesh.merge_vertices(merge_tex=True, merge_norm=True)  # split where a texture has a seam
     if np.ptp(mesh.vertices, axis=0).min() < 1e-9 * np.ptp(mesh.vertices, axis=0).max():
         raise ParameterError(f"'{path}' is flat: it has no volume")
     if not mesh.is_watertight:

@@ -155,7 +155,8 @@ class Packets(Source):
                 data = self._socket.recv(4096)
             except TimeoutError:
                 continue
-            except OSError:  # closed
+            except OSError as error:  # closed, or broken
+                self.fault = f"{error}"
                 return
             at = self._clock()
             try:

@@ -30,8 +30,8 @@ _SETUP_ARRAYS = {
     "object_quaternion": 4,
     "target": 3,
 }
-_NORM_TOLERANCE = 1e-6
-"""Largest deviation of a setup's quaternions from unit norm: rounding errors."""
+_NORM_TOLERANCE = 1e-3
+"""Largest deviation of a setup's quaternions from unit norm, as of four typed digits."""
 
 
 def _told(meaning: str, values: tuple[str | None, ...] = (), others: str = "") -> dict[str, Option]:
@@ -228,5 +228,7 @@ def _checked_setup(given: Any, task: Task, hand: Hand) -> SceneSetup:
             raise ParameterError(
                 f"setup {name} = {found[name].tolist()} of norm {norm:g}: must be 1 to {_NORM_TOLERANCE:g}"
             )
+        if abs(norm - 1) > 1e-9:
+            found[name] = found[name] / norm
         found[name] = tuple(found[name].tolist())
     return replace(given, **found)

@@ -11,6 +11,7 @@ import shutil
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -163,6 +164,8 @@ def record(
         try:
             actor = load_policy(policy, env, normalize)
             dataset = None
+            if ":" in env_id:  # or nobody finds the module again
+                env.unwrapped.spec = replace(env.unwrapped.spec, id=env_id)
             task = re.sub(r"-v\d+$", "", env_id.rpartition(":")[2].removeprefix("HPAC-")).lower()
             name = re.sub(r"[^-\w/]+", "-", f"hpac/{task}/{Path(policy).stem}") + "-v0"
             os.environ["MINARI_DATASETS_PATH"] = str(root)

@@ -98,12 +98,12 @@ class EpisodePolicy:
             count = len(next(iter(parts.values())))
             rows = [{name: part[row] for name, part in parts.items()} for row in range(count)]
             rows = rows if isinstance(observation, Mapping) else [row[""] for row in rows]
-        first = [self._first(row) for row in range(len(rows))]
-        memories = first if state is None else list(state)
-        if episode_start is not None:
-            begins = np.reshape(episode_start, -1)
-            pairs = zip(begins, first, memories, strict=True)
-            memories = [new if begun else old for begun, new, old in pairs]
+        memories: Sequence[Memory] = [None] * len(rows) if state is None else state
+        begins = np.zeros(len(rows)) if episode_start is None else np.reshape(episode_start, -1)
+        memories = [
+            self._first(row) if begun or state is None else memory
+            for row, (begun, memory) in enumerate(zip(begins, memories, strict=True))
+        ]
         acted = [self._act(row, memory) for row, memory in zip(rows, memories, strict=True)]
         actions = np.stack([action for action, _ in acted])
         return (actions[0] if single else actions), tuple(memory for _, memory in acted)

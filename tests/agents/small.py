@@ -26,5 +26,5 @@ SMALL = words_of(SETTINGS)
 def train_here(*words) -> None:
     """Train in this process, which has loaded the packages already; its signals stay its own."""
     with pytest.MonkeyPatch.context() as monkeypatch:
-        monkeypatch.setattr(train, "_stop_on_signal", lambda progress: None)
+        monkeypatch.setattr(train, "_stop_on_signal", lambda progress: {})
         assert train.main([str(word) for word in words]) == 0

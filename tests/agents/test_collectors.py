@@ -119,7 +119,7 @@ def test_a_run_goes_on_without_a_node_and_is_resumed(cluster, tmp_path, monkeypa
     # before there is a second node: Ray refuses to remove the one that it is connected to
     collectors.connected()
     doomed = cluster.add_node(num_cpus=1)
-    monkeypatch.setattr(train, "_stop_on_signal", lambda progress: None)
+    monkeypatch.setattr(train, "_stop_on_signal", lambda progress: {})
     monkeypatch.setattr(collectors, "Collectors", Watched)
     words = ["--out", f"{tmp_path}", "--nodes", "2"]
     assert train.main(["grasp", *words, "--episodes", "400", *SMALL]) == 0
@@ -143,7 +143,7 @@ def assert_no_trial_twice(folder, count):
 
 @pytest.mark.slow
 def test_a_collector_that_cannot_start_ends_the_run_in_one_line(cluster, tmp_path, monkeypatch):
-    monkeypatch.setattr(train, "_stop_on_signal", lambda progress: None)
+    monkeypatch.setattr(train, "_stop_on_signal", lambda progress: {})
     monkeypatch.setattr(collectors, "versions", lambda: versions() | {"python": "2.7"})
     with pytest.raises(
         RunError, match=r"collector 0 failed: .*the learner has python 2\.7, not \S+ as here"

@@ -182,6 +182,9 @@ def test_what_is_set_reaches_the_algorithm_the_worlds_and_the_environment(tmp_pa
         ("crossq --set gradient=1", "unknown options gradient: there are"),
         ("ppo --set n_steps=few", "ppo refuses its settings: "),
         ("ppo --set n_steps=1 --set num_envs=1", "ppo refuses its settings: "),
+        ("ppo --set action_repeat=0", "action_repeat is 0, must be a whole number from 1 to 1000"),
+        ("sac --set gamma=7", "gamma is 7, must be a number from 0 to 1"),
+        ("ppo --set policy_kwargs=5", "policy_kwargs is 5, must have names"),
         ("sac --set device=cuda", "sac refuses its settings: .* multiple values"),
     ],
 )

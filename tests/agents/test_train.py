@@ -447,6 +447,24 @@ def test_a_task_of_ones_own_is_trained_with_its_options(tmp_path, monkeypatch):
     train_here("--resume", "--out", out, "--episodes", 10)
 
 
+def test_an_episode_ends_at_the_limit_of_its_id_as_a_failure_and_a_short_training_says_so(
+    tmp_path, monkeypatch, capsys
+):
+    (tmp_path / "endless.py").write_text(
+        "import hpac_gym\nimport numpy as np\nfrom hpac_gym.tasks.grasp import Grasp\n"
+        "class Endless(Grasp):\n"
+        "    def judge(self, state, dt):\n        return np.zeros(len(state.time), int)\n"
+        "hpac_gym.register('Endless-v0', Endless, 65)\n"
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    train_here("grasp", "--env", "endless:Endless-v0", "--out", tmp_path / "run",
+               "--num-envs", 4, "--hidden", 8, "--episodes", 8, "--set", "randomize=full")  # fmt: skip
+    assert "it has learned nothing yet" in capsys.readouterr().err
+    assert json.loads((tmp_path / "run" / "run.json").read_text())["randomize"] == "full"
+    state = next((tmp_path / "run").glob("checkpoint-*")) / "state.json"
+    assert json.loads(state.read_text())["env_steps"] == 4 * 65 * 2
+
+
 def test_an_object_of_ones_own_is_what_is_trained_on(tmp_path, monkeypatch):
     words = ["--object", "sphere:0.03", "--set", "config.weights.effort=-0.1", *SMALL]
     recipe = train._fresh_recipe(train.parsed(["grasp", "--out", str(tmp_path), *map(str, words)]))

@@ -470,6 +470,28 @@ def test_a_dictionary_makes_the_same_environment_and_survives_json_and_a_spec_su
     vector.close()
 
 
+def test_a_spec_comes_back_from_json():
+    can = ObjectSpec("cylinder", (0.025, 0.025, 0.06), 0.1, 0.8)
+    with gymnasium.make("HPAC-Grasp-v0", object=can, engine="mujoco") as env:
+        again = gymnasium.envs.registration.EnvSpec.from_json(env.spec.to_json())
+    with gymnasium.make(again) as env:
+        assert env.unwrapped.task.object == can
+
+
+def test_a_mesh_is_closed_though_its_texture_has_seams(tmp_path):
+    """As Blender writes it: a corner once for each place in the texture."""
+    cube = trimesh.creation.box((0.03, 0.03, 0.03))
+    corners = "".join(f"v {x} {y} {z}\n" for x, y, z in cube.vertices)
+    places = "".join(f"vt {number / 36} 0.5\n" for number in range(36))
+    faces = "".join(
+        "f " + " ".join(f"{corner + 1}/{3 * row + k + 1}" for k, corner in enumerate(face)) + "\n"
+        for row, face in enumerate(cube.faces)
+    )
+    (tmp_path / "cube.obj").write_text(corners + places + faces)
+    found = own_object(tmp_path / "cube.obj", mass=0.1, folder=tmp_path)
+    np.testing.assert_allclose(found.half_extents, 0.015, rtol=0.01)
+
+
 @pytest.mark.parametrize(
     ("options", "error", "message"),
     [

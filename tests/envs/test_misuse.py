@@ -233,6 +233,17 @@ def test_a_setup_of_lists_is_that_of_its_arrays_and_tuples():
     np.testing.assert_array_equal(*seen)
 
 
+def test_a_quaternion_of_four_digits_is_taken_and_made_one():
+    setup = SceneSetup(
+        ObjectSpec("box", (0.02, 0.03, 0.03), 0.1, 0.8), np.array([0.05, 0, 0.11]), 0.0, np.zeros(6)
+    )
+    given = replace(setup, object_quaternion=(0.7071, 0, 0, 0.7071))
+    with gymnasium.make("HPAC-Grasp-v0") as env:
+        env.reset(seed=0, options={"setup": given})
+        (taken,) = env.unwrapped.episodes.setups
+    assert np.linalg.norm(taken.object_quaternion) == pytest.approx(1, abs=1e-12)
+
+
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_an_object_is_of_finite_size_mass_and_friction(value):
     spec = {"shape": "box", "half_extents": (0.02, 0.02, 0.02), "mass": 0.1, "friction": 0.8}

@@ -176,7 +176,7 @@ def test_a_policy_is_watched_and_the_sliders_follow_it():
         page.get_by_text("seed 3000000").wait_for()
         wait_for(lambda: joint(page, "index") > 0.5, 60)
         slider = page.locator("[role=slider]").nth(1)
-        assert float(slider.get_attribute("aria-valuenow")) > 0.5
+        wait_for(lambda: float(slider.get_attribute("aria-valuenow")) > 0.5, 10)
         assert slider.get_attribute("data-disabled") == "true"
         assert page.get_by_text("read-only").is_visible()
         assert not page.get_by_text("all five").is_visible()

@@ -201,9 +201,9 @@ class Hpac(Robot):
     def _relax(self) -> None:
         self._stream = None
         open_hand(self._link)
+        self._servo = self._link.status().servo
         self._armed = False
         self._link.clear()
-        self._servo = np.zeros_like(self._servo)
 
     def _keep(self) -> None:
         """Keep an armed hand alive while LeRobot is busy, for a bounded time."""
