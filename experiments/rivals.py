@@ -45,6 +45,7 @@ SAMPLES = (3, 4, 6, 8, 16, 31)
 DEGREE = 4
 UNITS = 6
 
+TITLE = "physics that is not the model's"
 OTHER_METAL = Workshop({**STIFFNESS, **geometry(0.005)}, ZERO, OTHER_LAWS)
 """Hands whose physics is not the model's. All values are chosen."""
 COMMON_ERRORS = JointCamera(common_scale=0.002, common_wander=np.deg2rad(0.05), outliers=0.005)
@@ -237,9 +238,8 @@ def _error(predicted: Array, truth: Array) -> float:
 
 def rivals(count: int, seed: int, samples: tuple[int, ...] = SAMPLES) -> Part:
     """Run the comparison, with its figure."""
-    title = "physics that is not the model's"
     race = run_race(count, seed, samples)
-    lines = [f"## Rival calibrations on {title}: mean absolute error of the nine joints [°]", ""]
+    lines = [f"## Rival calibrations on {TITLE}: mean absolute error of the nine joints [°]", ""]
     lines += [f"{count} hands, seed {seed}; mean and 95 % interval.", ""]
     body = [(name, *table.values()) for name, table in race.trained.items()]
     body += [
@@ -251,7 +251,7 @@ def rivals(count: int, seed: int, samples: tuple[int, ...] = SAMPLES) -> Part:
         f"The camera's scale error alone, which no method can observe, leaves {race.camera:.3f}°.",
         "",
     ]
-    caption = f"{count} hands, {title}, camera with common errors, seed {seed}"
+    caption = f"{count} hands, {TITLE}, camera with common errors, seed {seed}"
     return Part("\n".join(lines), race, {"rivals": race_figure(race)}, caption)
 
 

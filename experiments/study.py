@@ -123,7 +123,7 @@ PARTS: dict[str, Callable[[argparse.Namespace], Part]] = {
     "commands": partial(_commands, COMMANDED, populations.WORKSHOPS[COMMANDED], commands.MAPS),
     "commands-other-laws": partial(
         _commands,
-        "physics that is not the model's",
+        rivals.TITLE,
         rivals.OTHER_METAL,
         commands.BEFORE_AND_AFTER,
     ),

@@ -19,7 +19,7 @@ from hpac_gym.policies.baselines import ScriptedPolicy
 from hpac_gym.registration import GRASP
 from hpac_gym.tasks.grasp_data import GRASPS
 from hpac_gym.tasks.scripted import ScriptedClosure
-from tools.grasp_search import ELITE, ROOT, SEARCH_SEED, replace_values
+from tools.grasp_search import ROOT, SEARCH_SEED, elite, replace_values
 
 GRASPS_FILE = ROOT / "tasks/data/grasps.toml"
 EPISODES = {"mujoco": 8, "pybullet": 1}
@@ -58,9 +58,7 @@ def search(name: str, generations: int, population: int, seed: int) -> Array:
             scores(name, drawn, engine, range(first, first + EPISODES[engine]))
             for engine in ENGINES
         )
-        best = np.argsort(-points)[: population // ELITE]
-        weights = np.linspace(1.0, 0.3, len(best))
-        mean = weights @ drawn[best] / weights.sum()
+        best, mean = elite(points, drawn)
         sigma = (SHRINK * sigma + np.maximum(drawn[best].std(axis=0), NARROWEST)) / 2
         print(
             f"{name} {generation + 1}/{generations}: best {points[best[0]]:.2f}, mean {points[0]:.2f}",

@@ -70,6 +70,13 @@ def score(trial: TypeTrial) -> float:
     )
 
 
+def elite(points: Array, drawn: Array) -> tuple[Array, Array]:
+    """Indices of the best of the drawn candidates, best first, and their mean, weighted by rank."""
+    best = np.argsort(-points)[: len(drawn) // ELITE]
+    weights = np.linspace(1.0, 0.3, len(best))
+    return best, weights @ drawn[best] / weights.sum()
+
+
 def search(options: argparse.Namespace) -> GraspType:
     """Run the search with the options of `main` and return the resulting type."""
     name = options.name
@@ -100,9 +107,7 @@ def search(options: argparse.Namespace) -> GraspType:
                 points[index] += score(trial) / len(engines)
                 wins[index] += trial.success
                 spoiled += not trial.free
-        best = np.argsort(-points)[: population // ELITE]
-        weights = np.linspace(1.0, 0.3, len(best))
-        mean = weights @ drawn[best] / weights.sum()
+        best, mean = elite(points, drawn)
         sigma *= SHRINK
         print(
             f"{name} {generation + 1}/{generations}: best {points[best[0]]:.2f}, mean {points[0]:.2f}, successes "

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
-from hpac_gym.deploy.errors import DeployError
+from hpac_gym.deploy.errors import MALFORMED, DeployError
 from hpac_gym.progress import Late
 
 PACKET = "hpac_arm"
@@ -98,7 +98,7 @@ class Remote(Arm):
                 answer = json.loads(self._socket.recv(4096))
                 if answer[PACKET] == VERSION and answer["ready"] is True:
                     return
-            except (OSError, ValueError, KeyError, TypeError, RecursionError):
+            except (OSError, *MALFORMED):
                 continue
         raise DeployError(f"{self._where} did not say that it is ready within {self._patience:g} s")
 

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.camera.detection import Device, Lens, Watch, detect, lens_of
 from hpac_gym.camera.poses import object_place
-from hpac_gym.deploy.errors import PoseError
+from hpac_gym.deploy.errors import MALFORMED, PoseError
 from hpac_gym.deploy.observer import UPRIGHT, Pose
 from hpac_gym.output import read_text
 from hpac_gym.progress import Late
@@ -165,8 +165,7 @@ class Packets(Source):
                     raise PoseError(f"{PACKET} {packet[PACKET]!r}, this program reads {VERSION}")
                 numbers = [*packet["position"], *packet.get("quaternion", UPRIGHT)]
                 self._latest = pose_of(numbers, "packet"), at
-            # Nested too deep is a RuntimeError, and so is a `PoseError`.
-            except (KeyError, TypeError, ValueError, OverflowError, RuntimeError) as error:
+            except (PoseError, *MALFORMED) as error:
                 self.fault = f"{error}"
                 self.refused += 1
 

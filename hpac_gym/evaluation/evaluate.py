@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import numpy as np
 from tqdm import tqdm
 
@@ -124,6 +125,11 @@ def run_block(
     return list(zip(*columns, strict=True))
 
 
+def block_of(env: gymnasium.Env[Any, Any], episodes: int, workers: int) -> int:
+    """Episodes per job of a worker: as many as a batch has, but a share for every worker."""
+    return min(BATCH if has_batch(env) else BLOCK, -(-episodes // workers))
+
+
 def evaluate(
     names: Sequence[str],
     env_id: str,
@@ -150,7 +156,7 @@ def evaluate(
     with make_env(env_id, **options) as env:
         for name in names:
             load_policy(name, env, normalize)  # errors are raised here, not in a worker
-        block = min(BATCH if has_batch(env) else BLOCK, -(-episodes // workers))
+        block = block_of(env, episodes, workers)
         if isinstance(env.unwrapped, HandEnv):
             options |= {
                 name: getattr(env.unwrapped.episodes.options, name) for name in ("engine", "body")

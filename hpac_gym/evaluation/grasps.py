@@ -15,8 +15,8 @@ import numpy as np
 
 from hpac_gym.command import Formatter, whole_number
 from hpac_gym.evaluation.environment import make_env
-from hpac_gym.evaluation.episodes import BATCH, has_batch, run_episodes, worlds
-from hpac_gym.evaluation.evaluate import BLOCK, add_seeds_and_workers
+from hpac_gym.evaluation.episodes import run_episodes, worlds
+from hpac_gym.evaluation.evaluate import add_seeds_and_workers, block_of
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import success_counts
 from hpac_gym.evaluation.workers import shared
@@ -123,7 +123,7 @@ def benchmark(
     with make_env(GRASP, grasp=grasps[0], **options) as env:
         for policy in policies:
             load_policy(policy, env, normalize)  # errors are raised here, not in a worker
-        block = BATCH if has_batch(env) else BLOCK
+        block = block_of(env, episodes, workers)
     seeds = range(seed_start, seed_start + episodes)
     parts = [seeds[start : start + block] for start in range(0, episodes, block)]
     cells = [(policy, grasp) for grasp in grasps for policy in policies]

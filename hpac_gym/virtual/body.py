@@ -45,13 +45,10 @@ class Path:
 
     def __init__(self) -> None:
         self._told: dict[int, Array] = {}
-        self._latest = -1
 
     def tell(self, time: float, offset: Array) -> None:
         """Take note of an offset, shape (3,) [m], for a time [s]."""
-        step = round(time * CONTROL_HZ)
-        self._told[step] = offset
-        self._latest = max(self._latest, step)
+        self._told[round(time * CONTROL_HZ)] = offset
         if len(self._told) > KEPT:
             del self._told[next(iter(self._told))]
 
@@ -69,7 +66,6 @@ class Path:
 
     def _of(self, step: int) -> Array:
         """What was told for a step, or last before it."""
-        step = min(step, self._latest)
         if step not in self._told:
             step = max((told for told in self._told if told < step), default=-1)
         return self._told.get(step, np.zeros(3))

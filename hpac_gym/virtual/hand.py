@@ -17,6 +17,7 @@ from hpac_gym.bridge import HostBoard, servo_from_pulses
 from hpac_gym.calibration.record import JOINT_COLUMNS
 from hpac_gym.command import say
 from hpac_gym.deploy import arm as arms, poses
+from hpac_gym.deploy.errors import MALFORMED
 from hpac_gym.errors import ParameterError
 from hpac_gym.model.checks import Array
 from hpac_gym.output import OutputError
@@ -200,7 +201,7 @@ class Virtual:
                 if self._phase == "ready":
                     answer = json.dumps({arms.PACKET: arms.VERSION, "ready": True})
                     self._arm.sendto(answer.encode(), address)
-            except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError):
+            except (OSError, *MALFORMED):
                 continue
 
     def _judge(self) -> None:
