@@ -22,7 +22,8 @@ from hpac_gym.evaluation.episodes import run_episodes, worlds
 from hpac_gym.evaluation.seeds import training_seed
 from hpac_gym.output import writable_folder
 from hpac_gym.policies import Actor, LearnedPolicy, PolicyFile, write_policy
-from hpac_gym.policies.loading import load_policy, vector_size
+from hpac_gym.policies.loading import load_policy
+from hpac_gym.policies.made_for import vector_size
 from hpac_gym.policies.policy import vector
 from hpac_gym.progress import progress
 

@@ -5,12 +5,11 @@ from inspect import signature
 from typing import Any
 
 import gymnasium
-from gymnasium.spaces import Box, Dict, Space
 
 from hpac_gym.errors import PolicyError
 from hpac_gym.policies.baselines import BASELINES
 from hpac_gym.policies.card import read_card
-from hpac_gym.policies.made_for import id_of, require_fit
+from hpac_gym.policies.made_for import require_fit
 from hpac_gym.policies.onnx_model import read_onnx
 from hpac_gym.policies.policy import LearnedPolicy, Policy
 from hpac_gym.policies.policy_file import SHIPPED, PolicyFile, policy_path, read_policy
@@ -119,10 +118,13 @@ def policy_file_for(name: str, env: gymnasium.Env[Any, Any]) -> PolicyFile:
         PolicyError: The file is missing, damaged, or made for another environment.
     """
     policy = read_policy(name)
-    env_id = id_of(env)
     try:
         require_fit(
-            f"policy file '{name}'", policy.about["env_id"], policy.about.get("made_for", {}), env
+            f"policy file '{name}'",
+            policy.about["env_id"],
+            policy.about.get("made_for", {}),
+            policy.sizes,
+            env,
         )
     except (TypeError, ValueError, AttributeError) as error:
         if isinstance(error, PolicyError):
@@ -130,24 +132,4 @@ def policy_file_for(name: str, env: gymnasium.Env[Any, Any]) -> PolicyFile:
         raise PolicyError(
             f"policy file '{name}' is damaged: made_for is not readable: {error}"
         ) from None
-    if (observed := vector_size(env.observation_space)) is None:
-        raise PolicyError(
-            f"policy file '{name}' takes a vector, {env_id} observes {env.observation_space}"
-        )
-    wanted = observed, vector_size(env.action_space)
-    if policy.sizes != wanted:
-        raise PolicyError(
-            f"policy file '{name}' maps {policy.sizes} values, {env_id} needs {wanted}"
-        )
     return policy
-
-
-def vector_size(space: Space[Any]) -> int | None:
-    """Size of a `hpac_gym.policies.policy.vector` of observations; None if they contain something
-    else, such as pictures.
-    """
-    parts = list(space.values()) if isinstance(space, Dict) else [space]
-    shapes = [part.shape for part in parts if isinstance(part, Box)]
-    if len(shapes) == len(parts) and all(len(shape) == 1 for shape in shapes):
-        return sum(size for (size,) in shapes)
-    return None

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import gymnasium
+from gymnasium.spaces import Box, Dict, Space
 
 from hpac_gym.errors import PolicyError
 from hpac_gym.model import HPAC, SERVOS, Hand, hand_to_toml
@@ -86,7 +87,11 @@ def id_of(env: gymnasium.Env[Any, Any]) -> str:
 
 
 def require_fit(
-    what: str, env_id: str, file: Mapping[str, Any], env: gymnasium.Env[Any, Any]
+    what: str,
+    env_id: str,
+    file: Mapping[str, Any],
+    sizes: tuple[int, int],
+    env: gymnasium.Env[Any, Any],
 ) -> None:
     """Refuse a policy that was made for another interface; warn of one made with another hand.
 
@@ -95,6 +100,7 @@ def require_fit(
         env_id: id of the environment that it was made for, with or without the module that
             registers it.
         file: its `made_for`.
+        sizes: numbers of values that it observes, and of its actions.
         env: the environment in which it is to act.
 
     Raises:
@@ -105,8 +111,23 @@ def require_fit(
         raise PolicyError(f"{what} was trained on {env_id}, not on {here}")
     if differs := difference(file, made_for(env)):
         raise PolicyError(f"{what} does not fit {here}: {differs}")
+    if (observed := vector_size(env.observation_space)) is None:
+        raise PolicyError(f"{what} takes a vector, {here} observes {env.observation_space}")
+    if sizes != (wanted := (observed, vector_size(env.action_space))):
+        raise PolicyError(f"{what} maps {sizes} values, {here} needs {wanted}")
     if remark := other_hand(file, env):
         warnings.warn(f"{what} {remark}", stacklevel=3)
+
+
+def vector_size(space: Space[Any]) -> int | None:
+    """Size of a `hpac_gym.policies.policy.vector` of observations; None if they contain something
+    else, such as pictures.
+    """
+    parts = list(space.values()) if isinstance(space, Dict) else [space]
+    shapes = [part.shape for part in parts if isinstance(part, Box)]
+    if len(shapes) == len(parts) and all(len(shape) == 1 for shape in shapes):
+        return sum(size for (size,) in shapes)
+    return None
 
 
 def _model(env: gymnasium.Env[Any, Any]) -> Hand:

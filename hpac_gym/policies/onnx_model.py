@@ -13,7 +13,7 @@ from hpac_gym.policies.closure import Closures
 from hpac_gym.policies.increments import Increments
 from hpac_gym.policies.made_for import require_fit
 from hpac_gym.policies.policy import LearnedPolicy
-from hpac_gym.policies.policy_file import PolicyFile
+from hpac_gym.policies.policy_file import PolicyFile, sizes_of
 
 OPSET = 17
 IR_VERSION = 8
@@ -109,7 +109,9 @@ def read_onnx(folder: Path, env: gymnasium.Env[Any, Any]) -> LearnedPolicy:
             raise ValueError(f"control_steps is {repeat}, and must be at least 1")
         if (inputs := [entry.name for entry in session.get_inputs()]) != ["observation"]:
             raise ValueError(f"the inputs of its model are {', '.join(inputs)}, not observation")
-        require_fit(f"exported policy '{folder}'", told["env_id"], made, env)
+        ends = session.get_inputs()[0].shape[1], session.get_outputs()[0].shape[1]
+        sizes = sizes_of(ends, closures, moves)
+        require_fit(f"exported policy '{folder}'", told["env_id"], made, sizes, env)
     except PolicyError:
         raise
     except Exception as error:  # a damaged file can make its reader raise anything

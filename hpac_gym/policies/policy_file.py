@@ -123,12 +123,21 @@ class PolicyFile:
     @property
     def sizes(self) -> tuple[int, int]:
         """Numbers of observed values and of action values."""
-        observed, decided = self.actor.sizes
-        if (moves := self.increments) is not None:
-            return observed // (moves.frames + 1), decided
-        return observed, decided if self.closures is None else self.closures.actions(
-            np.zeros((1, decided)), [0]
-        ).shape[1]
+        return sizes_of(self.actor.sizes, self.closures, self.increments)
+
+
+def sizes_of(
+    actor: tuple[int, int], closures: Closures | None, moves: Increments | None
+) -> tuple[int, int]:
+    """Numbers of observed values and of action values, of the numbers of an actor's inputs and
+    outputs and of how it decides.
+    """
+    observed, decided = actor
+    if moves is not None:
+        return observed // (moves.frames + 1), decided
+    if closures is not None:
+        return observed, closures.actions(np.zeros((1, decided)), [0]).shape[1]
+    return observed, decided
 
 
 def write_policy(path: str | os.PathLike[str], policy: PolicyFile) -> None:

@@ -180,6 +180,15 @@ def test_another_hand_is_a_remark_and_another_layout_a_refusal(folder, env):
         read_onnx(folder, env)
 
 
+@pytest.mark.parametrize("exported", [False, True])
+def test_an_observation_that_it_does_not_take_is_refused(exported, folder):
+    with (
+        gymnasium.make("HPAC-Grasp-v0", obs="privileged") as env,
+        pytest.raises(PolicyError, match=r"maps \(44, 6\) values, .* needs \(136, 6\)"),
+    ):
+        load_policy(str(folder) if exported else "grasp", env)
+
+
 @pytest.mark.parametrize("name", ["card.json", "model.onnx"])
 def test_a_damaged_export_ends_in_one_line(folder, env, name):
     data = (folder / name).read_bytes()
