@@ -11,7 +11,7 @@ from hpac_gym.envs.randomization import PRESETS
 from hpac_gym.evaluation.options import add_env_options, env_options
 from hpac_gym.physics.simulation import SET_UPS
 from hpac_gym.policies import Closures
-from hpac_gym.registration import GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE
+from hpac_gym.registration import GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE, row_of
 
 _KINDS = {
     int: "a whole number",
@@ -255,14 +255,16 @@ def recipe_of(args: Namespace) -> Recipe:
     env_id = (args.env or recipe.env_id).removeprefix("hpac_gym:")
     options = env_options(args, env_id)
     chosen = {name: options.pop(name) for name in ("engine", "body") if name in options}
+    if chosen and "set_ups" in given:
+        raise RecipeError("--engine and --body name one set-up: give them or --set-ups")
+    usual = dict(row_of(env_id).defaults)  # of the id, where nothing is given
     for name in ("randomize", "hands"):  # settings of the recipe
-        if name in options:
-            given.setdefault(name, options.pop(name))
-    if chosen:
-        if "set_ups" in given:
-            raise RecipeError("--engine and --body name one set-up: give them or --set-ups")
+        if name in options or name in usual:
+            given.setdefault(name, options.pop(name, usual.get(name)))
+    if {"engine", "body"} & (usual | chosen).keys():
         engine, body = recipe.set_ups[0].split("/")
-        given["set_ups"] = f"{chosen.get('engine', engine)}/{chosen.get('body', body)}"
+        set_up = {"engine": engine, "body": body} | usual | chosen
+        given.setdefault("set_ups", f"{set_up['engine']}/{set_up['body']}")
     return with_settings(replace(recipe, env_id=env_id, options=recipe.options | options), given)
 
 

@@ -114,7 +114,8 @@ class Worlds(Source):
         set_ups = len(recipe.set_ups)
         self._first, end = (recipe.num_envs * bound // set_ups for bound in (place, place + 1))
         engine, body = recipe.set_ups[place].split("/")
-        given = {name: value for name, value in recipe.options.items() if name in _COMMON}
+        told = {**row_of(recipe.env_id).defaults, **recipe.options}
+        given = {name: value for name, value in told.items() if name in _COMMON}
         fixed = {"obs": "privileged", "engine": engine, "body": body}
         options = checked_options(**given | fixed | {"randomize": recipe.randomize})
         if (

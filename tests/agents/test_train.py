@@ -22,6 +22,7 @@ from agents import RecipeError, RunError, runs as runs_of, train, trials
 from agents.learner import Learner
 from agents.recipes import RECIPES, with_settings
 from agents.trials import training_task, worlds_of
+from hpac_gym.envs.options import checked_options
 from hpac_gym.evaluation.evaluate import evaluate
 from hpac_gym.policies import read_policy
 from tests.agents.small import SETTINGS, SMALL, train_here
@@ -193,7 +194,7 @@ def test_a_time_limit_ends_a_training_cleanly(tmp_path, capsys):
         "--checkpoint-every",
         10_000,
     )
-    assert capsys.readouterr().err.splitlines()[-1].startswith("time limit after")
+    assert "time limit after" in capsys.readouterr().err
     assert read_policy(tmp_path / "policy.hpac").about["seconds"] >= 0.6
 
 
@@ -416,11 +417,11 @@ def test_the_brier_score_is_that_of_the_predictions_for_new_trials(learner):
 
 
 def test_a_task_of_ones_own_is_trained_with_its_options(tmp_path, monkeypatch):
-    """What was set reaches the task of the worlds, the policy file and a resumed run."""
+    """What was set, or is the id's own, reaches the worlds, the policy file and a resumed run."""
     (tmp_path / "my_task.py").write_text(
         "import hpac_gym\nfrom hpac_gym.tasks.grasp import Grasp, GraspConfig\n"
         "def made(gap=0.01):\n    return Grasp(GraspConfig(gap=(gap, gap)))\n"
-        "hpac_gym.register('Own-Gap-v0', made, 65)\n"
+        "hpac_gym.register('Own-Gap-v0', made, 65, body='light', randomize='hand', noise={'position': 0.01})\n"
     )
     monkeypatch.syspath_prepend(str(tmp_path))
     out = tmp_path / "run"
@@ -439,11 +440,18 @@ def test_a_task_of_ones_own_is_trained_with_its_options(tmp_path, monkeypatch):
     monkeypatch.setattr(
         trials, "training_task", lambda recipe: tasks.append(training_task(recipe)) or tasks[-1]
     )
+    checked = []
+    monkeypatch.setattr(
+        trials, "checked_options", lambda **given: checked.append(given) or checked_options(**given)
+    )
     train_here("grasp", *words)
     assert tasks[0].config.gap == (0.02, 0.02)
+    assert checked[0]["noise"] == {"position": 0.01}
     about = read_policy(out / "policy.hpac").about
     assert about["env_id"] == "my_task:Own-Gap-v0"
-    assert about["settings"]["options"] == {"gap": 0.02}
+    told = about["settings"]
+    assert told["options"] == {"gap": 0.02}
+    assert (told["set_ups"], told["randomize"]) == (["mujoco/light"], "hand")
     train_here("--resume", "--out", out, "--episodes", 10)
 
 
