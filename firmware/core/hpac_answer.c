@@ -2,6 +2,7 @@
 
 #include "hpac_load.h"
 #include "hpac_motion.h"
+#include "hpac_state.h"
 
 static uint32_t uptime_ms(const hpac_hand_t *hand) { return (uint32_t)(hand->now_us / 1000u); }
 
@@ -10,9 +11,7 @@ static void queue(hpac_hand_t *hand, uint8_t *frame, uint8_t type, uint16_t seq,
     uint8_t wire[HPAC_WIRE_MAX];
     size_t length = hpac_frame_encode(frame, type, seq, payload_length, wire);
     if (hand->tx_length + length > HPAC_TX_CAPACITY) {
-        if (hand->count.dropped < UINT16_MAX) {
-            hand->count.dropped++;
-        }
+        hpac_state_count(&hand->count.dropped);
         return;
     }
     for (size_t i = 0; i < length; i++) {

@@ -7,7 +7,6 @@
 #define US_PER_MS 1000u
 #define STEP_MAX_US (HPAC_STEP_MAX_MS * US_PER_MS)
 #define HOLD_MAX_US (HPAC_HOLD_MAX_MS * US_PER_MS)
-#define ALL_ATTACHED ((1u << HPAC_SERVOS) - 1u)
 /* A longer silence between two calls says nothing about the servos' heat. */
 #define LOAD_STEPS_MAX 100
 
@@ -45,9 +44,11 @@ void hpac_state_arm(hpac_hand_t *hand)
 
 static void relax(hpac_hand_t *hand)
 {
+    if (!hand->relaxing) { /* one that begins anew has no more time */
+        hand->safe_until_us = hand->now_us + hpac_motion_relax_max_us(hand);
+    }
     hand->relaxing = true;
     hand->holding = false;
-    hand->safe_until_us = hand->now_us + hpac_motion_relax_max_us(hand);
     hpac_motion_relax(hand);
 }
 
@@ -62,11 +63,11 @@ static hpac_action_t action_of(const hpac_hand_t *hand, hpac_fault_t fault)
 void hpac_state_fault(hpac_hand_t *hand, hpac_fault_t fault, unsigned servo)
 {
     hpac_action_t action = action_of(hand, fault);
+    hand->state = HPAC_STATE_FAULT;
     if (hand->fault == HPAC_FAULT_CONFIG && hand->attached == 0u) {
         hpac_answer_fault(hand, servo); /* with that table there is nothing to stop and nothing to compute */
         return;
     }
-    hand->state = HPAC_STATE_FAULT;
     hand->fault = (uint8_t)fault;
     hand->starting = false;
     if (fault == HPAC_FAULT_INTERNAL) { /* nothing of the motion can be trusted but its last good output */

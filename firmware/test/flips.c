@@ -1,4 +1,4 @@
-/* One bit of the hand's state turns by itself, while it moves, starts, holds, relaxes, stands: every bit, one after another.
+/* One bit of the hand's state turns by itself, while it moves, starts, holds, relaxes, stands, has an unusable table: every bit, one after another.
  * Afterwards no pulse may lie outside of the table and none beyond the slew limit from the one before, and a host that has
  * fallen silent finds the pulses gone. The guard of oracle.h judges; it knows nothing of the state.
  *
@@ -13,7 +13,7 @@
 /* After the last frame: watchdog, hold, relax from the far end, and the start that a bit may have held up. */
 #define SILENCE_MS (BENCH_WATCHDOG_MS + HPAC_HOLD_MAX_MS + HPAC_START_MAX_MS)
 #define FINE_MS 80
-#define SCENES 10
+#define SCENES 11
 
 typedef struct {
     unsigned long tried, outside, fast, powered, stopped;
@@ -29,6 +29,12 @@ static void arm_again(bench_t *bench, hpac_action_t action)
 
 static void scene(bench_t *bench, int which)
 {
+    if (which == 10) { /* no table to move by */
+        bench_start(bench);
+        bench->config.servo[0].trim_ns = HPAC_TRIM_MAX_NS + 1;
+        hpac_hand_init(&bench->hand, &bench->config, HPAC_RESET_POWER_ON, 1, NULL);
+        return;
+    }
     bench_armed(bench, which == 3 ? HPAC_ACTION_HOLD : which % 2 == 0 ? HPAC_ACTION_RELAX : HPAC_ACTION_DETACH);
     bench_send(bench, HPAC_HEARTBEAT, 0, NULL, 0);
     if (which == 8) {

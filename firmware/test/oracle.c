@@ -312,7 +312,7 @@ static void detach(oracle_t *o)
     o->holding = false;
 }
 
-/* From anywhere in the table; what late calls hold back does not make it longer. */
+/* From anywhere in the table; neither what late calls hold back nor a second relax makes it longer. */
 static void relax(oracle_t *o)
 {
     double longest = 0;
@@ -320,9 +320,9 @@ static void relax(oracle_t *o)
         const oracle_servo_t *s = &o->guard.table[i];
         longest = fmax(longest, fmax(s->max - s->rest, s->rest - s->min) / (s->rate * RELAX_PERMILLE * 1e-3) * 1e6);
     }
+    o->safe_until_us = o->relaxing ? o->safe_until_us : o->now_us + (uint64_t)longest;
     o->holding = false;
     o->relaxing = true;
-    o->safe_until_us = o->now_us + (uint64_t)longest;
     go_to_rest(o);
 }
 

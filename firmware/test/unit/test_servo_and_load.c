@@ -121,6 +121,14 @@ static void an_unusable_table_never_gets_pulses(void)
     bench.hand.attached = 4; /* should a bit flip */
     bench_run(&bench, 1);
     CHECK(bench_silent(&bench));
+    for (uint8_t state = HPAC_STATE_BOOT; state < HPAC_STATE_FAULT; state++) {
+        hpac_hand_init(&bench.hand, &bench.config, HPAC_RESET_POWER_ON, 1, NULL);
+        bench.hand.state = state; /* should this one */
+        bench_run(&bench, 1);
+        CHECK(bench.hand.state == HPAC_STATE_FAULT && !hpac_hand_powered(&bench.hand));
+        bench_send(&bench, HPAC_HELLO, 0, NULL, 0);
+        CHECK(bench_arm(&bench, HPAC_ACTION_RELAX, 0) == HPAC_REASON_STATE);
+    }
     bench_start(&bench);
     bench.config.servo[3].max_urad = -1; /* nothing is computed with such a table, and its fault is told once */
     hpac_hand_init(&bench.hand, &bench.config, HPAC_RESET_POWER_ON, 1, NULL);

@@ -609,6 +609,23 @@ static void safe_actions_end_in_seconds_however_rarely_the_board_calls(void)
     }
 }
 
+/* A relax that an overload begins anew, on such a board, has no more time for it. */
+static void an_overload_does_not_make_a_relax_longer(void)
+{
+    static const int16_t far_end[HPAC_SERVOS] = { 13000, 13500, 13000, 13100, 13000, 15000 };
+    bench_t bench;
+    bench_armed(&bench, HPAC_ACTION_RELAX);
+    bench_move(&bench, 0, 400, far_end);
+    bench_run(&bench, BENCH_WATCHDOG_MS);
+    uint64_t until_us = bench.now_us + hpac_motion_relax_max_us(&bench.hand);
+    while (!bench_silent(&bench) && bench.now_us < until_us + 60000000u) {
+        bench.now_us += 100000u;
+        bench.hand.heat[0] = bench.now_us > until_us - 400000u ? 2u * HPAC_HEAT_LIMIT : bench.hand.heat[0];
+        bench_feed(&bench, NULL, 0);
+    }
+    CHECK(bench.hand.fault == HPAC_FAULT_OVERLOAD && bench.now_us <= until_us + 100000u);
+}
+
 /* The longest way of the slowest servo, down or up, at a quarter of its rate. */
 static void a_relax_lasts_as_long_as_its_longest_way(void)
 {
@@ -658,6 +675,7 @@ static void safe_actions_belong_to_faults(void)
 void test_states(void)
 {
     safe_actions_end_in_seconds_however_rarely_the_board_calls();
+    an_overload_does_not_make_a_relax_longer();
     safe_actions_belong_to_faults();
     a_relax_lasts_as_long_as_its_longest_way();
     a_safe_action_that_is_over_stays_over();
