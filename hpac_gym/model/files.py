@@ -5,7 +5,7 @@ field.
 import json
 import math
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from importlib.resources import files
 from os import PathLike
 from pathlib import Path
@@ -32,8 +32,16 @@ _SCALARS = (
 _LISTS = ("joint_radius", "path_length")
 _CMC = ("cmc_gain", "cmc_stiffness", "cmc_torque_limit")
 _FRICTION = ("joint", "tendon")
-_MOST = {"rate_limit": (100.0, "rad/s"), "length": (1.0, "m"), "servo angle": (math.pi, "rad")}
-"""Largest numbers of any hand (chosen): ten times a servo's speed, an arm's length, half a turn."""
+_MOST = {
+    "rate_limit": (100.0, "rad/s"),
+    "length": (1.0, "m"),
+    "servo angle": (math.pi, "rad"),
+    "servo_zero": (math.pi, "rad"),
+    "joint_friction": (1.0, "N m"),
+}
+"""Largest numbers of any hand (chosen): ten times a servo's speed, an arm's length, half a turn,
+about a servo's torque.
+"""
 _TOP = ("schema", "name", "sources", "servo", "cmc", "digits", "workspace", "calibration")
 
 
@@ -56,7 +64,7 @@ def hand_from_toml(text: str, origin: str) -> Hand:
     """
     try:
         table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except ValueError as error:
         raise ParameterError(f"hand file {origin}: not TOML: {error}") from None
     try:
         return _hand_from_table(table)
@@ -66,9 +74,10 @@ def hand_from_toml(text: str, origin: str) -> Hand:
 
 def hand_to_toml(hand: Hand) -> str:
     """Text of a hand file for a hand, which `hand_from_toml` reads back."""
-    lines = [f"schema = {SCHEMA}", f"name = {json.dumps(hand.name)}", "", "[sources]"]
+    lines = [f"schema = {SCHEMA}", f"name = {_quoted(hand.name)}", "", "[sources]"]
     lines += [
-        f"{key} = {json.dumps(text, ensure_ascii=False)}" for key, text in hand.sources.items()
+        f"{key if key.isascii() and key.isidentifier() else _quoted(key)} = {_quoted(text)}"
+        for key, text in hand.sources.items()
     ]
     lines += ["", "[servo]", f"rate_limit = {hand.rate_limit!r}", "", "[cmc]"]
     lines += [f"{key} = {getattr(hand, key)!r}" for key in _CMC]
@@ -87,6 +96,11 @@ def hand_to_toml(hand: Hand) -> str:
     return "\n".join(lines) + "\n"
 
 
+def _quoted(text: str) -> str:
+    """A string of TOML: one of JSON, which may hold DEL as it is."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
 def _hand_from_table(table: dict[str, Any]) -> Hand:
     if table.get("schema") != SCHEMA:
         raise ParameterError(f"schema {table.get('schema')!r} is not {SCHEMA}")
@@ -97,28 +111,43 @@ def _hand_from_table(table: dict[str, Any]) -> Hand:
     _refuse_unknown(digits, DIGITS, "[digits]")
     _refuse_unknown(servo, ("rate_limit",), "[servo]")
     _refuse_unknown(cmc, _CMC, "[cmc]")
+    sources = _table(table, "sources")
+    for key, text in sources.items():
+        if not isinstance(text, str):
+            raise ParameterError(f"[sources] {key} must be text, not {text!r}")
     hand = Hand(
         name=str(table.get("name", "unnamed")),
         digits={name: _digit(name, _table(digits, name)) for name in DIGITS},
         workspace={name: _pair(value, name) for name, value in _table(table, "workspace").items()},
         rate_limit=_number(servo, "rate_limit"),
         **{name: _number(cmc, name) for name in _CMC},
-        sources=_table(table, "sources"),
+        sources=sources,
         calibration=_calibration(_table(table, "calibration"))
         if "calibration" in table
         else Calibration(),
     )
-    numbers = [("", "rate_limit", hand.rate_limit)]
-    numbers += [("", "servo angle", angle) for angle in (*-hand.servo_min, *hand.servo_max)]
-    for digit in hand.digits.values():
-        lengths = (digit.d1, digit.d2, digit.servo_radius, *digit.joint_radius, *digit.path_length)
-        numbers += [(f"digit {digit.name}: ", "length", length) for length in lengths]
-    for owner, name, value in numbers:
+    for owner, name, value in _bounded(hand):
         most, unit = _MOST[name]
-        if value > most:
+        if abs(value) > most:
             allowed = f"allowed at most {most:.6g} {unit}"
             raise ParameterError(f"{owner}{name} = {value:.6g} {unit}, {allowed}")
     return hand
+
+
+def _bounded(hand: Hand) -> Iterator[tuple[str, str, float]]:
+    """Owner, name in `_MOST` and value of every bounded number; the servo angles, which are computed
+    from the lengths, last.
+    """
+    yield "", "rate_limit", hand.rate_limit
+    for digit in hand.digits.values():
+        lengths = (digit.d1, digit.d2, digit.servo_radius, *digit.joint_radius, *digit.path_length)
+        yield from ((f"digit {digit.name}: ", "length", length) for length in lengths)
+    for zero in hand.calibration.servo_zero:
+        yield "[calibration] ", "servo_zero", zero
+    for friction in hand.calibration.friction:
+        yield "[calibration] ", "joint_friction", friction.joint
+    for angle in (*hand.servo_min, *hand.servo_max):
+        yield "", "servo angle", angle
 
 
 def _calibration(table: dict[str, Any]) -> Calibration:
@@ -163,7 +192,7 @@ def _number(table: dict[str, Any], key: str) -> float:
     value = table.get(key)
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise ParameterError(f"{key} must be a number, not {value!r}")
-    return float(value)
+    return float(str(value))  # infinite for an integer beyond every float
 
 
 def _numbers(table: dict[str, Any], key: str) -> tuple[float, ...]:

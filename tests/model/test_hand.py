@@ -68,7 +68,11 @@ def hand_file(tmp_path):
 def test_a_written_hand_is_read_again(tmp_path):
     ring = replace(HPAC.digits["ring"], d2=0.031)
     changed = replace(
-        HPAC, name='a "quoted" hand', cmc_gain=0.98, digits={**HPAC.digits, "ring": ring}
+        HPAC,
+        name='a "quoted" hand 🖐',
+        cmc_gain=0.98,
+        digits={**HPAC.digits, "ring": ring},
+        sources={"d1": "a caliper", "my note": "kept,\n\x7f too", "größe": "M"},
     )
     path = tmp_path / "hand.toml"
     for hand in (HPAC, changed):
@@ -252,6 +256,25 @@ FAULTS = [
         "[6.0, 7.5]",
         r"digit thumb: length = 6 m, allowed at most 1 m",
     ),
+    (
+        "a length whose square no float holds",
+        r"^d1 = 0.012$",
+        "d1 = 1e200",
+        r"digit thumb: length = 1e\+200 m, allowed at most 1 m",
+    ),
+    (
+        "an integer that no float holds",
+        r"^rate_limit = \d.*$",
+        f"rate_limit = {10**400}",
+        r"rate_limit = inf rad/s must be finite",
+    ),
+    (
+        "an integer that Python does not read",
+        r"^rate_limit = \d.*$",
+        f"rate_limit = {'9' * 5000}",
+        r"not TOML: Exceeds the limit",
+    ),
+    ("a source that is no text", r"^d1 = \".*$", "d1 = 3", r"\[sources\] d1 must be text, not 3"),
     (
         "a servo that winds up",
         r"^cmc_gain = 1.0$",

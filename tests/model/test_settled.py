@@ -159,6 +159,16 @@ CALIBRATION_FAULTS = [
         "tendon_friction must have 5 entries, not 4",
     ),
     ("tendon_friction = [0.03", "tendon_friction = [1.03", "a share in"),
+    (
+        "servo_zero = [0.0",
+        "servo_zero = [-5.0",
+        r"servo_zero = -5\.0\d* rad, allowed at most 3\.14159 rad",
+    ),
+    (
+        "joint_friction = [0.001",
+        "joint_friction = [1000.0",
+        "joint_friction = 1000 N m, allowed at most 1 N m",
+    ),
     ("[calibration]", "[calibration]\nwear = 1", r"\[calibration\] has unknown fields wear"),
 ]
 
