@@ -50,7 +50,6 @@ class HostBoard:
 
     def __init__(self, arguments: tuple[str, ...] = ()) -> None:
         self._arguments = arguments
-        self._pulses = np.zeros(len(SERVOS), dtype=np.int64)
 
     def __enter__(self) -> HostBoard:
         program = firmware_file("hpac_host")
@@ -58,6 +57,7 @@ class HostBoard:
         self._folder = Path(tempfile.mkdtemp(prefix="hpac_host_"))
         self._log = (self._folder / "pulses.csv").open("w+b", buffering=0)
         self._read_to = 0
+        self._pulses = np.zeros(len(SERVOS), dtype=np.int64)
         self.process = subprocess.Popen(
             [program, "--pulses", self._log.name, "--parent", str(self._owner), *self._arguments],
             stdin=subprocess.DEVNULL,
@@ -114,7 +114,7 @@ class HostBoard:
         self._log.seek(self._read_to)
         lines, newline, _ = self._log.read().rpartition(b"\n")
         self._read_to += len(lines) + len(newline)
-        if self._read_to > _LONGEST_LOG:
+        if self._read_to > _LONGEST_LOG and not self._log.read():
             self._log.truncate(0)
             self._read_to = 0
         rows = [[int(value) for value in line.split(b",")] for line in lines.splitlines()]

@@ -54,6 +54,42 @@ def test_pulse_changes_tell_the_whole_move(host_board):
     np.testing.assert_allclose(servo_from_pulses(changes[-1, 1:]), POSE, atol=1e-4)
 
 
+class Late:
+    """A log to which a change comes when it has been read."""
+
+    def __init__(self, log, change):
+        self._log = log
+        self._change = change
+
+    def __getattr__(self, name):
+        return getattr(self._log, name)
+
+    def read(self):
+        read = self._log.read()
+        os.pwrite(self._log.fileno(), self._change, self._log.tell())
+        self._change = b""
+        return read
+
+
+def test_a_change_that_comes_while_the_log_begins_anew_is_told(host_board, monkeypatch):
+    monkeypatch.setattr("hpac_gym.bridge.hands._LONGEST_LOG", 0)
+    with HandLink(host_board.connect) as link:
+        link.arm(watchdog=2.0)
+        host_board._log = Late(host_board._log, b"9,1,2,3,4,5,6\n")
+        assert host_board.pulses().min() > 6
+        np.testing.assert_array_equal(host_board.pulses(), range(1, 7))
+    assert host_board._read_to == 0
+
+
+def test_a_board_that_has_restarted_has_no_pulses(host_board):
+    with HandLink(host_board.connect) as link:
+        link.arm(watchdog=2.0)
+        assert host_board.pulses().all()
+    host_board.__exit__()
+    host_board.__enter__()
+    assert not host_board.pulses().any()
+
+
 def test_a_stopped_board_is_a_timeout_and_never_a_hang(host_board):
     with HandLink(host_board.connect, handshake_timeout=1.0) as link:
         host_board.process.send_signal(signal.SIGSTOP)
