@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from hpac_gym.bridge import HostBoard, servo_from_pulses
+from hpac_gym.bridge import HostBoard, PortError, servo_from_pulses
 from hpac_gym.calibration.record import JOINT_COLUMNS
 from hpac_gym.command import say
 from hpac_gym.deploy import arm as arms, poses
@@ -100,12 +100,13 @@ class Virtual:
         self._camera = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._camera.setblocking(False)
         try:
-            self._arm.bind(("127.0.0.1", arm_port))
-            self.pose_port = pose_port or _free_port()
-            self._camera.connect(("127.0.0.1", self.pose_port))
+            port = arm_port
+            self._arm.bind(("127.0.0.1", port))
+            port = self.pose_port = pose_port or _free_port()
+            self._camera.connect(("127.0.0.1", port))
         except (OSError, OverflowError) as error:
             self.close()
-            raise ParameterError(f"UDP port {arm_port or pose_port}: {error}") from None
+            raise ParameterError(f"UDP port {port}: {error}") from None
         self.arm_port = self._arm.getsockname()[1]
         self._began = time.monotonic()
         self._due = 0.0
@@ -120,7 +121,11 @@ class Virtual:
         self._seen_until = np.inf
 
     def turn(self) -> None:
-        """Wait until there is something to do, and do it; to be called again and again."""
+        """Wait until there is something to do, and do it; to be called again and again.
+
+        Raises:
+            PortError: The board has ended.
+        """
         now = time.monotonic() - self._began
         until = min(self._due, self._relay.due() if self._relay else np.inf)
         watched = [self._arm, *(self._relay.descriptors() if self._relay else ())]
@@ -131,6 +136,8 @@ class Virtual:
         self._hear(round(1e6 * now))
         if now >= self._due:
             self._due = max(self._due + 1 / POSE_HZ, now)
+            if self._board.process.poll() is not None:
+                raise PortError(f"{self.port}: the board behind it has ended")
             pulses = self._board.pulses()
             by_hand = self.page.wanted() if self.page else None
             try:
@@ -141,7 +148,8 @@ class Virtual:
                 self.body.place(self.body.setup)
             state = self.body.state()
             self.body.tidy_up(state)
-            if not pulses.any():
+            if not pulses.any():  # an episode that was given up before the hand closed is over, too
+                self._phase = ""
                 self._seen_until = np.inf
             if now < self._seen_until:
                 self._see(state)

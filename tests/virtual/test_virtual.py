@@ -15,7 +15,14 @@ import numpy as np
 import pytest
 
 import hpac
-from hpac_gym.bridge import HandLink, HostBoard, VirtualHand, pulses_from_servo, stop as bridge_stop
+from hpac_gym.bridge import (
+    HandLink,
+    HostBoard,
+    PortError,
+    VirtualHand,
+    pulses_from_servo,
+    stop as bridge_stop,
+)
 from hpac_gym.deploy.commands import object_of
 from hpac_gym.deploy.episode import Log, run_episode
 from hpac_gym.deploy.observer import Observer
@@ -79,6 +86,33 @@ def test_the_object_is_back_when_the_arm_is_asked_to_be_ready_after_an_episode(e
             hand.turn()
         back = np.linalg.norm(hand.body.state().object_pos[0] - start) < 0.01
         assert back == (outcome == SUCCESS)
+
+
+def test_an_episode_begins_after_one_that_was_given_up_before_the_hand_closed(env):
+    with HostBoard() as board, closing(Virtual(Body(env, 3), board, None, 0, 0)) as hand:
+        hand.blind = 60.0
+        program = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        with program, HandLink(board.connect) as link:
+            for episode in (1, 2):
+                link.arm(watchdog=2.0)
+                for _ in range(3):
+                    program.sendto(b'{"hpac_arm": 1, "phase": "ready"}', ("", hand.arm_port))
+                    hand.turn()
+                assert (hand._episodes, hand.body._powered) == (episode, True)
+                assert hand._seen_until < np.inf
+                link.clear()
+                hand._due = 0.0
+                hand.turn()
+                assert hand._seen_until == np.inf
+
+
+def test_a_virtual_hand_whose_board_was_killed_says_so(env):
+    with HostBoard() as board, closing(Virtual(Body(env, 3), board, None, 0, 0)) as hand:
+        hand.turn()
+        board.process.kill()
+        board.process.wait()
+        with pytest.raises(PortError, match=f"{board.port}: the board behind it has ended"):
+            hand.turn()
 
 
 class Page:
@@ -218,6 +252,7 @@ def test_a_board_that_restarts_when_its_port_is_opened_is_reached_over_a_bad_wir
         (["--object", "ball"], "--object 'ball' is not one of"),
         (["--env", GRASP_ANY, "--grasp", "rod"], f"--grasp and --object are of {GRASP}"),
         (["--arm-port", "99999"], "UDP port 99999"),
+        (["--arm-port", "47999", "--pose-port", "70000"], "UDP port 70000"),
         (["--heat", "101"], "--heat 101 % must be at most 100 %"),
         (["--angles", "/dev/full"], "cannot write '/dev/full': No space left on device"),
     ],
