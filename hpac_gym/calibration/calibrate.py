@@ -81,11 +81,11 @@ def run(arguments: argparse.Namespace) -> int:
     """Check the record, fit, report the hand file's error at the held-out points, and write it."""
     require()
     base = load_hand(arguments.base) if arguments.base else HPAC
-    record = read_sweep(arguments.record, allow_missing=True)
+    record = read_sweep(arguments.record)
     remarks = judged(record, base)
     second = None
     if arguments.check:
-        second = read_sweep(arguments.check, allow_missing=True)
+        second = read_sweep(arguments.check)
         if np.array_equal(second.joint_pos, record.joint_pos, equal_nan=True):
             raise RecordError(
                 f"--check {arguments.check} is the same sweep; it must be a second one"

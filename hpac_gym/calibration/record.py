@@ -27,6 +27,8 @@ COLUMNS = (*LABELS, "time_s", *SERVO_COLUMNS, *JOINT_COLUMNS)
 
 ANGLE_LIMIT = np.pi
 """No servo or joint of the hand turns further [rad]; a larger number is in degrees."""
+MOST_LABEL = 1e9
+"""Largest number of a trial or a point (chosen)."""
 
 
 class RecordError(HpacError, ValueError):
@@ -121,13 +123,9 @@ def write_sweep(path: str | os.PathLike[str], sweep: Sweep) -> None:
 # Reading -----------------------------------------------------------------------
 
 
-def read_sweep(path: str | os.PathLike[str], allow_missing: bool = False) -> Sweep:
-    """Read the record in a `sweep.csv`.
-
-    Args:
-        path: the file.
-        allow_missing: treat an absent joint column as "not measured", as an empty cell in a joint
-            column always is.
+def read_sweep(path: str | os.PathLike[str]) -> Sweep:
+    """Read the record in a `sweep.csv`; a joint without a column or with an empty cell is not
+    measured.
 
     Raises:
         RecordError: The file cannot be read, lacks a column, or has a cell that is NaN, not a
@@ -136,12 +134,12 @@ def read_sweep(path: str | os.PathLike[str], allow_missing: bool = False) -> Swe
     path = Path(path)
     lines = read_text(path, "sweep", RecordError, "utf-8-sig").splitlines()
     try:
-        return _parse(lines, allow_missing)
+        return _parse(lines)
     except (RecordError, csv.Error) as error:
         raise RecordError(f"sweep {path}: {error}") from None
 
 
-def _parse(lines: list[str], allow_missing: bool) -> Sweep:
+def _parse(lines: list[str]) -> Sweep:
     if not lines or lines[0].strip() != HEADER:
         raise RecordError(f"row 1 must be {HEADER!r}, not {lines[0][:60] if lines else ''!r}")
     numbers = [
@@ -163,12 +161,7 @@ def _parse(lines: list[str], allow_missing: bool) -> Sweep:
             columns[name] = _column(
                 name, [(number, cells[names.index(name)].strip()) for number, cells in rows]
             )
-        elif (
-            allow_missing
-            and name in JOINT_COLUMNS
-            and name not in names
-            and in_degrees not in names
-        ):
+        elif name in JOINT_COLUMNS and name not in names and in_degrees not in names:
             columns[name] = np.full(len(rows), np.nan)
         else:
             degrees = (
@@ -223,8 +216,8 @@ def _value(name: str, cell: str) -> float | int:
     if not np.isfinite(value):
         raise ValueError(f"{cell} is not a finite number")
     if name in LABELS:
-        if value != round(value):
-            raise ValueError(f"{value:g} is not a whole number")
+        if value != round(value) or abs(value) > MOST_LABEL:
+            raise ValueError(f"{value:g} is not a whole number within ±{MOST_LABEL:g}")
         return round(value)
     if name != "time_s" and abs(value) > ANGLE_LIMIT:
         raise ValueError(f"{value:g} rad is beyond {ANGLE_LIMIT:.4g} rad; is it in degrees?")
