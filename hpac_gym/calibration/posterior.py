@@ -75,13 +75,13 @@ def read_draws(hand_file: Path, hand: Hand) -> list[Hand]:
     path = report_folder(hand_file) / "draws.json"
     try:
         text = json.loads(path.read_text(encoding="utf-8"))
-        of = text["zero"]
         hands = drawn_hands(hand, text["draws"])
+        same = np.allclose(text["zero"], hand.calibration.servo_zero, rtol=0, atol=1e-9)
     except (OSError, ValueError, LookupError, TypeError, AttributeError, StopIteration) as error:
         raise PosteriorError(
             f"{path}, which 'hpac calibrate' writes beside {hand_file}, cannot be read: {error}"
         ) from None
-    if not np.allclose(of, hand.calibration.servo_zero, rtol=0, atol=1e-9):
+    if not same:
         raise PosteriorError(
             f"{path} is of another hand than {hand_file}: the servos' zeros differ"
         )

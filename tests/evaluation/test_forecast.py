@@ -150,7 +150,12 @@ def test_a_file_without_a_sweep_and_one_of_another_hand_are_refused(file, tmp_pa
     file.write_text(hand_to_toml(HPAC))
     said = refused(capsys, lambda: main(["forecast", str(file)]))
     assert "is of another hand than" in said
-    (tmp_path / "hand-report" / "draws.json").write_text(
-        '{"zero": [0, 0, 0, 0, 0, 0], "draws": {}}'
-    )
+
+
+@pytest.mark.parametrize(
+    "damaged", [{"draws": {}}, {"zero": "half"}, {"zero": None}, {"zero": [0, 0]}]
+)
+def test_damaged_draws_are_refused(file, capsys, damaged):
+    draws = file.with_name("hand-report") / "draws.json"
+    draws.write_text(json.dumps(json.loads(draws.read_text()) | damaged))
     assert "cannot be read" in refused(capsys, lambda: main(["forecast", str(file)]))
