@@ -10,6 +10,9 @@ void loop_start(loop_t *loop, const hpac_config_t *config, hpac_reset_t reset, l
     bool known = reset != HPAC_RESET_POWER_ON && kept->crc == crc_of(kept);
     *loop = (loop_t){ .config = config, .kept = kept };
     kept->boots = known ? kept->boots + 1u : 1u;
+    if (known) { /* for a reset before the first output */
+        kept->crc = crc_of(kept);
+    }
     hpac_hand_init(&loop->hand, config, reset, (uint16_t)kept->boots, known ? &kept->hand : NULL);
 }
 

@@ -150,7 +150,6 @@ def load_library() -> ctypes.CDLL:
     u64 = ctypes.c_uint64
     signatures = {
         "hpac_library_hand_size": (size, []),
-        "hpac_library_config_size": (size, []),
         "hpac_library_run": (u64, [pointer, pointer, u64, u64, u64, _Pulses]),
         "hpac_config_default": (None, [pointer]),
         "hpac_hand_init": (None, [pointer, pointer, ctypes.c_int, ctypes.c_uint16, pointer]),

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hpac_gym.bridge import protocol
-from hpac_gym.bridge.hands import Config, config_of, default_config, load_library
+from hpac_gym.bridge.hands import Config, config_of, load_library
 from hpac_gym.bridge.limits import limits_hash, servo_limits
 from hpac_gym.model import HPAC, SERVOS, hand_to_toml
 from tools import generate
@@ -34,8 +34,9 @@ def test_servo_limits_are_the_models_to_half_a_step_of_the_wire():
 
 
 def test_firmware_was_compiled_with_this_servo_table():
-    assert load_library().hpac_library_config_size() == len(bytes(Config()))
-    assert bytes(default_config()) == bytes(config_of(HPAC))
+    table = (Config * 2)()  # one more, to see where the first ends
+    load_library().hpac_config_default(table)
+    assert bytes(table) == bytes(config_of(HPAC)) + bytes(Config())
 
 
 def test_limits_hash_changes_with_any_limit(monkeypatch):

@@ -1,9 +1,7 @@
-/* What a program that loads the core as a shared library needs besides hpac_hand.h: sizes, and a clock that runs. */
+/* What a program that loads the core as a shared library needs besides hpac_hand.h: a size, and a clock that runs. */
 #include "library.h"
 
 size_t hpac_library_hand_size(void) { return sizeof(hpac_hand_t); }
-
-size_t hpac_library_config_size(void) { return sizeof(hpac_config_t); }
 
 uint64_t hpac_library_run(hpac_hand_t *hand, const hpac_config_t *config, uint64_t from_us, uint64_t until_us, uint64_t period_us,
                           uint32_t pulses[HPAC_SERVOS])

@@ -5,9 +5,6 @@
 
 #include "loop.h"
 
-/* One step of the pulse width is this much [ns], rounded up. */
-uint32_t servo_output_step_ns(void);
-
 /* Make sure that no pulse leaves, before anything else is done. */
 void servo_output_quiet(void);
 

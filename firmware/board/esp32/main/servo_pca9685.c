@@ -32,8 +32,6 @@
 static i2c_master_dev_handle_t chip;
 static bool in_order; /* the chip has been set up and has not lost it since */
 
-uint32_t servo_output_step_ns(void) { return (uint32_t)((uint64_t)DIVIDER * 1000000000u / PCA9685_CLOCK_HZ + 1u); }
-
 static void enable(bool on) { ESP_ERROR_CHECK(gpio_set_level(PCA9685_OE_PIN, on ? 0 : 1)); }
 
 void servo_output_quiet(void)

@@ -39,8 +39,6 @@ static uint32_t duty(uint32_t pulse_ns)
     return (uint32_t)((scaled + HPAC_PULSE_PERIOD_NS / 2) / HPAC_PULSE_PERIOD_NS);
 }
 
-uint32_t servo_output_step_ns(void) { return (uint32_t)((HPAC_PULSE_PERIOD_NS >> timer_bits()) + 1); }
-
 void servo_output_quiet(void)
 {
     for (int i = 0; i < HPAC_SERVOS; i++) {
