@@ -92,7 +92,10 @@ class Commands:
 
     def start(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
         """Begin episodes in some worlds: hands at rest at the synergies of their setups."""
-        self.predicted = self.predicted.copy()  # the previous `Moment` keeps its array
+        # The previous `Moment` keeps the arrays.
+        self.servo, self.predicted, self.last_action = (
+            kept.copy() for kept in (self.servo, self.predicted, self.last_action)
+        )
         for world, setup in zip(worlds, setups, strict=True):
             start = self._start_of(*setup.synergy.tolist())
             self.servo[world], self.predicted[world], self.last_action[world] = start

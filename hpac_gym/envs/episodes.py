@@ -140,6 +140,7 @@ class Episodes:
         self.observations.start(worlds, setups)
         self.commands.start(worlds, setups)
         self.wrists.start(worlds, setups)
+        self._down = self._down.copy()  # the previous `Moment` keeps the array
         for world, setup in zip(worlds, setups, strict=True):
             self.setups[world] = setup
             self._down[world] = -setup.hand_rotation[2]

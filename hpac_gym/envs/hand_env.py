@@ -11,13 +11,13 @@ from hpac_gym.envs.commands import Transmit
 from hpac_gym.envs.episodes import Episodes, open_episodes, quality
 from hpac_gym.envs.observations import Observation, of_world
 from hpac_gym.envs.options import RENDER_MODES, checked_options, setups_of
-from hpac_gym.envs.pictures import VIEW_TARGET
 from hpac_gym.envs.randomization import Randomization, randomization
 from hpac_gym.envs.snapshots import restore_episode, save_episode
 from hpac_gym.errors import EpisodeError, ShapeError
 from hpac_gym.model import ServoCommand
 from hpac_gym.model.checks import Array, as_array
 from hpac_gym.physics.engine import Engine, SceneState, Viewpoint
+from hpac_gym.tasks.senses import VIEW_TARGET
 from hpac_gym.tasks.task import CONTROL_HZ, RUNNING, Task
 
 

@@ -16,7 +16,7 @@ from hpac_gym.model.checks import as_bounded_array, as_finite_vector
 from hpac_gym.physics.engine import SceneSetup
 from hpac_gym.physics.settings import BODIES, WorldSettings
 from hpac_gym.physics.simulation import ENGINES
-from hpac_gym.settings import settings_from
+from hpac_gym.settings import check_bounds, settings_from
 from hpac_gym.tasks.cameras import CameraNoise
 from hpac_gym.tasks.options import Option, check_choice
 from hpac_gym.tasks.task import GoalSetup, Task
@@ -172,15 +172,15 @@ def check_num_envs(num_envs: int) -> None:
     Raises:
         ParameterError: It is not.
     """
-    if not (isinstance(num_envs, int | np.integer) and num_envs >= 1):
+    if isinstance(num_envs, bool) or not (isinstance(num_envs, int | np.integer) and num_envs >= 1):
         raise ParameterError(f"num_envs = {num_envs} must be a whole number of at least 1")
 
 
 def setups_of(
     options: Mapping[str, Any] | None, task: Task, hand: Hand, num_envs: int = 1
 ) -> list[SceneSetup] | None:
-    """Setups of n environments given by the options of a `reset`, or None: one for all of them, or,
-    if n is greater than 1, a list with one for each.
+    """Setups of n environments given by the options of a `reset`, or None: one for all of them, or a
+    list with one for each.
 
     Raises:
         ParameterError: Unknown option, wrong number of setups, or an invalid one.
@@ -196,7 +196,7 @@ def setups_of(
     one = _setup_of_goal if task.goal_terms else _checked_setup
     # A goal may itself be a list of numbers.
     listed = isinstance(given, list | tuple) and not all(isinstance(x, Real) for x in given)
-    if num_envs == 1 or not listed:
+    if not listed:
         return [one(given, task, hand)] * num_envs
     if len(given) != num_envs:
         raise ParameterError(f"{len(given)} {name}s were given for {num_envs} environments")
@@ -221,7 +221,7 @@ def _checked_setup(given: Any, task: Task, hand: Hand) -> SceneSetup:
         for name, size in _SETUP_ARRAYS.items()
         if name != "target" or given.target is not None
     }
-    as_finite_vector([given.yaw], 1, "setup yaw")
+    check_bounds(given, "setup")
     for name in ("hand_quaternion", "object_quaternion"):
         norm = np.linalg.norm(found[name])
         if abs(norm - 1) > _NORM_TOLERANCE:
@@ -231,4 +231,6 @@ def _checked_setup(given: Any, task: Task, hand: Hand) -> SceneSetup:
         if abs(norm - 1) > 1e-9:
             found[name] = found[name] / norm
         found[name] = tuple(found[name].tolist())
-    return replace(given, **found)
+    setup = replace(given, **found)
+    task.check(setup)
+    return setup

@@ -9,13 +9,11 @@ from numpy.typing import NDArray
 from hpac_gym.errors import EpisodeError
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import HAND_POSITION, SceneSetup, Viewpoint
+from hpac_gym.tasks.senses import VIEW_TARGET
 from hpac_gym.tasks.task import OUTCOMES
 
 if TYPE_CHECKING:
     from hpac_gym.view.page import HandPage
-
-VIEW_TARGET = np.array([0.03, 0.0, 0.10])
-"""Point in the hand frame on which images are centred [m]."""
 
 
 class Pictures:

@@ -11,7 +11,7 @@ from hpac_gym.envs.randomization import Randomization, changed_setup, stream
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import SceneSetup
 from hpac_gym.physics.settings import BODIES, HandSettings
-from hpac_gym.tasks.task import Task
+from hpac_gym.tasks.task import GoalSetup, Task
 
 _NO_CHOICE = HandSettings()
 
@@ -39,7 +39,8 @@ def start_of(
     """Draw the start of an episode, or only what a given setup leaves open."""
     setup_rng, camera_rng = generator.spawn(2)
     drawn = ranges.draw(setup_rng)
-    setup = _with_options(given or task.setup(setup_rng, options.hand), options, given is None)
+    drawn_here = given is None or isinstance(given, GoalSetup)
+    setup = _with_options(given or task.setup(setup_rng, options.hand), options, drawn_here)
     lost, late = (float(drawn.get(name, [0.0])[0]) for name in ("dropped_frames", "late_frames"))
     return Start(
         changed_setup(setup, drawn),

@@ -1,5 +1,6 @@
 """The scripted motion of n wrists, and forces on their objects, as tables by control step."""
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -19,7 +20,8 @@ class Wrists:
         dt: physics step [s].
 
     Raises:
-        ParameterError: The physics' rate is no multiple of the commands'.
+        ParameterError: The physics' rate is no multiple of the commands', or the task's duration not
+            finite or shorter than a control step.
 
     Attributes:
         times: ends of an episode's physics steps [s].
@@ -32,6 +34,10 @@ class Wrists:
         if (rate := round(1 / dt)) % CONTROL_HZ:
             raise ParameterError(
                 f"physics_hz = {rate} Hz must be a multiple of {CONTROL_HZ} Hz, the rate of the commands"
+            )
+        if not (math.isfinite(task.duration) and round(task.duration * CONTROL_HZ) >= 1):
+            raise ParameterError(
+                f"an episode of {task.duration:g} s must have a control step of {1 / CONTROL_HZ:g} s, and an end"
             )
         self._task = task
         self._substeps = rate // CONTROL_HZ

@@ -10,6 +10,7 @@ the same environment which of them is better."""
 import argparse
 import hashlib
 import json
+import shlex
 import sys
 import warnings
 from collections import Counter
@@ -195,7 +196,7 @@ def judge_all(args: argparse.Namespace) -> Results:
                 f"cell {number} of {len(wanted)}: seed {seed}, {split}: {rate:.1%}", file=sys.stderr
             )
     results |= {
-        "command": f"hpac benchmark {' '.join(sys.argv[2:])}",
+        "command": f"hpac benchmark {shlex.join(sys.argv[2:])}",
         "summary": summary(results),
     }
     write_text(args.out, json.dumps(results, indent=1) + "\n")

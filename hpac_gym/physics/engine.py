@@ -21,6 +21,7 @@ from hpac_gym.errors import HpacError
 from hpac_gym.model import DIGITS, HPAC, Hand
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.settings import HandSettings
+from hpac_gym.settings import setting
 
 HAND_POSITION = np.array([0.0, 0.0, 0.25])
 """Initial wrist position in the world [m]."""
@@ -69,7 +70,7 @@ class SceneSetup:
     """
     position: Array = field(default_factory=lambda: np.zeros(3))
     """Centre of the object in the hand frame, shape (3,) [m]."""
-    yaw: float = 0.0
+    yaw: float = setting(0.0, bounds=(-np.inf, np.inf), unit="rad")
     """Rotation of the object about the vertical [rad]."""
     synergy: Array = field(default_factory=lambda: np.zeros(6))
     """Initial synergy of the hand, shape (6,) [rad]."""
@@ -89,7 +90,7 @@ class SceneSetup:
     """
     fixed: bool = False
     """True fixes the object in the world, without a support, as an obstacle for measurements."""
-    rest_height: float | None = None
+    rest_height: float | None = setting(None, number=True, bounds=(0.0, 1.0), unit="m", above=True)
     """Height of the object's centre above its support [m]; None computes it from the bounding box.
     """
 

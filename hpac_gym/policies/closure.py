@@ -25,6 +25,7 @@ _CMC = SERVO_INDEX["thumb_cmc"]
 _NAMES = (*(f"{servo}_goal" for servo in SERVOS), "duration", "thumb_delay")
 _WRIST = ("grasp_x", "grasp_y", "grasp_z", "turn_x", "turn_y", "turn_z")
 _SHIFT = ("wrist_x", "wrist_y", "wrist_z", "wrist_yaw")
+_ACTIONS = ("goal", "wrist", "shift")  # ranges of what an action contains
 _PRESHAPE = tuple(f"{servo}_preshape" for servo in SERVOS)
 
 Range = tuple[float, float]
@@ -71,9 +72,14 @@ class Closures:
             given = getattr(self, entry.name)
             if given is None:
                 continue
-            if not (len(given) == 2 and np.all(np.isfinite(given)) and given[0] <= given[1]):
+            most = 1.0 if entry.name in _ACTIONS else np.inf
+            if not (
+                len(given) == 2
+                and -most <= given[0] <= given[1] <= most
+                and np.isfinite(given).all()
+            ):
                 raise PolicyError(
-                    f"closure range {entry.name} = {given} must be two ordered numbers"
+                    f"closure range {entry.name} = {given} must be two ordered numbers within ±{most:g}"
                 )
             object.__setattr__(self, entry.name, (float(given[0]), float(given[1])))
 
@@ -118,7 +124,8 @@ class Closures:
     def decisions(self, values: ArrayLike) -> NDArray[np.float64]:
         """The numbers of closures scaled to decisions, −1…1, both of shape (..., len(names))."""
         low, high = self.bounds
-        decided: NDArray[np.float64] = 2 * (np.asarray(values) - low) / (high - low) - 1
+        span = np.where(high > low, high - low, 1.0)
+        decided: NDArray[np.float64] = 2 * (np.asarray(values) - low) / span - 1
         return decided
 
     def actions(self, decisions: ArrayLike, steps: ArrayLike) -> NDArray[np.float64]:

@@ -225,7 +225,13 @@ def _policy(path: Path, _changed: int) -> tuple[Any, bool]:
     except Exception as error:  # a damaged file can make its reader raise anything
         raise PolicyError(f"model '{path}' is damaged: {error!r}".splitlines()[0]) from None
     last = data.get("_last_obs")
-    rows = list(last) if isinstance(last, np.ndarray) else []
+    rows = (
+        [dict(zip(last, row, strict=True)) for row in zip(*last.values(), strict=True)]
+        if isinstance(last, dict)
+        else []
+        if last is None
+        else last
+    )
     return policy, any(row not in data["observation_space"] for row in rows)
 
 

@@ -51,6 +51,13 @@ class ObjectCamera:
         self._half_extents = np.zeros((num_worlds, 3))
         self._draw = np.zeros((num_worlds, 6))
 
+    @property
+    def error(self) -> Array:
+        """Errors of the last measurement: of the positions [m] and of the rotations [rad], shape
+        (n, 6).
+        """
+        return self._deviation * self._draw
+
     def start(self, world: int, setup: SceneSetup, factor: float, rng: np.random.Generator) -> None:
         """Begin an episode of a setup, with `factor` times the noise, drawn from `rng`."""
         noise = self._noise
@@ -72,7 +79,7 @@ class ObjectCamera:
         """
         for world in worlds:
             self._draw[world] = self._rng[world].standard_normal(6)
-        error = self._deviation * self._draw
+        error = self.error
         # Both axes in one call: at n = 1 the call overhead dominates.
         axes = state.object_rotation.reshape(-1, 9).take(_AXES, axis=1)
         tilt = error.take(_TILTS, axis=1)

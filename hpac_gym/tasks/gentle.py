@@ -16,14 +16,13 @@ from hpac_gym.physics.settings import GRAVITY
 from hpac_gym.settings import setting
 from hpac_gym.tasks.cameras import CameraNoise
 from hpac_gym.tasks.grasp import OBJECT_OPTION, Grasp
-from hpac_gym.tasks.grasp_any import CAMERA_TARGET
 from hpac_gym.tasks.grasp_setups import GraspConfig, GraspWeights
 from hpac_gym.tasks.grip import lengths
 from hpac_gym.tasks.occlusion import Rows
 from hpac_gym.tasks.options import Option, config_option
 from hpac_gym.tasks.phases import Timetable, wrist_table
 from hpac_gym.tasks.privileged import PRIVILEGED_TERMS
-from hpac_gym.tasks.senses import LOAD_TERMS, Senses, ServoSenses
+from hpac_gym.tasks.senses import LOAD_TERMS, VIEW_TARGET, Senses, ServoSenses
 from hpac_gym.tasks.task import FAILURE
 from hpac_gym.tasks.terms import Moment, RewardTerm, Term, column
 
@@ -90,7 +89,7 @@ class GentleConfig(GraspConfig):
 class GentleSetup(SceneSetup):
     """A setup with an object that can be crushed."""
 
-    crush_limit: float = LIMIT_UNIT
+    crush_limit: float = setting(LIMIT_UNIT, bounds=(0.1, 1e3), unit="N")
     """Squeeze beyond which it is [N]."""
 
 
@@ -144,6 +143,7 @@ class Gentle(Grasp):
         if not isinstance(told, bool):
             raise ParameterError(f"told {told!r} must be True or False")
         super().__init__(config, object)
+        self._refuse_ranges(("sphere_radius",), "there are no spheres")
         limit = Term(
             "crush_limit",
             ("limit",),
@@ -187,7 +187,7 @@ class Gentle(Grasp):
         self.peak = np.zeros(num_worlds)
         self.crush_limit = np.zeros(num_worlds)
         servos = ServoSenses() if self.obs == "load" else None
-        return _Camera(num_worlds, noise, self.viewpoint, CAMERA_TARGET, servos)
+        return _Camera(num_worlds, noise, self.viewpoint, VIEW_TARGET, servos)
 
     def setup(self, rng: np.random.Generator, hand: Hand = HPAC) -> GentleSetup:
         """Draw one episode: as for `Grasp`, and the crush limit."""

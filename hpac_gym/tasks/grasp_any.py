@@ -3,6 +3,7 @@ useful.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
@@ -10,8 +11,9 @@ from numpy.typing import NDArray
 
 from hpac_gym.body.object_sets import SPLITS
 from hpac_gym.body.objects import ObjectSpec
+from hpac_gym.errors import ParameterError
 from hpac_gym.model import HPAC, Hand
-from hpac_gym.model.checks import Array
+from hpac_gym.model.checks import Array, as_finite_vector
 from hpac_gym.physics.engine import SceneSetup, SceneState, Viewpoint
 from hpac_gym.physics.settings import GRAVITY
 from hpac_gym.settings import settings_from
@@ -35,7 +37,7 @@ from hpac_gym.tasks.options import Option, check_choice, config_option
 from hpac_gym.tasks.phases import phase_at, wrist_table
 from hpac_gym.tasks.privileged import PRIVILEGED_TERMS
 from hpac_gym.tasks.scripted import ScriptedGraspAny
-from hpac_gym.tasks.senses import LOAD_TERMS, Senses, ServoSenses
+from hpac_gym.tasks.senses import LOAD_TERMS, VIEW_TARGET, Senses, ServoSenses
 from hpac_gym.tasks.task import (
     FAILURE,
     SUCCESS,
@@ -136,10 +138,7 @@ class GraspAny(Task):
     """
 
     phases = PHASES
-    changing = (
-        *("grip", "closing", "holding_force", "turn", "sides"),
-        *("_phase", "_grasped"),
-    )
+    changing = ("grip", "closing", "holding_force", "turn", "sides", "_phase", "_grasped")
     viewpoint = Viewpoint(yaw_deg=120.0)
     sensed_terms: ClassVar = {"load": LOAD_TERMS, "points": ()}
 
@@ -221,10 +220,18 @@ class GraspAny(Task):
         self.sides = np.zeros(num_worlds, dtype=int)
         servos = ServoSenses() if self.obs == "load" else None
         seen = self.obs == "points"
-        return Senses(num_worlds, noise, self.viewpoint, CAMERA_TARGET, servos, seen)
+        return Senses(num_worlds, noise, self.viewpoint, VIEW_TARGET, servos, seen)
 
     def setup(self, rng: np.random.Generator, hand: Hand = HPAC) -> SceneSetup:
         return self.setups.draw(rng, hand)
+
+    def check(self, setup: SceneSetup) -> None:
+        """Refuse a pull that is no direction."""
+        pull = as_finite_vector(pull_of(setup), 3, "setup pull")
+        if abs(norm := float(np.linalg.norm(pull)) - 1) > 1e-3:
+            raise ParameterError(
+                f"setup pull = {pull.tolist()} of norm {norm + 1:g}: must be 1 to 0.001"
+            )
 
     def chosen(self, setup: SceneSetup, action: Array) -> SceneSetup:
         """The setup with the wrist moved by the last four numbers of an episode's first action."""
@@ -249,7 +256,8 @@ class GraspAny(Task):
         self._phase[index] = self.sides[index] = 0
 
     def wrist_path(self, setup: SceneSetup, times: tuple[float, ...]) -> Array:
-        return wrist_table(self.config.timetable, times)
+        table = self.config.timetable
+        return wrist_table(replace(table, clearance=table.lift_height), times)
 
     def push(self, times: Array) -> Array | None:
         begin = self._ends[SHAKE]
@@ -313,7 +321,3 @@ class GraspAny(Task):
 
     def script(self) -> ScriptedGraspAny:
         return ScriptedGraspAny(self.terms, len(self.wrist_actions))
-
-
-CAMERA_TARGET = np.array([0.03, 0.0, 0.10])
-"""Point in the hand frame at which the camera looks [m]."""

@@ -98,7 +98,7 @@ class GraspAnyConfig:
     timetable: Timetable = field(
         default_factory=lambda: Timetable(close_time=3.0, clearance=Timetable().lift_height)
     )
-    """Timetable of closing, lift and shake; the hand stays up afterwards."""
+    """Timetable of closing, lift and shake; the hand stays up afterwards, whatever its clearance."""
     weights: GraspAnyWeights = field(default_factory=GraspAnyWeights)
 
     def __post_init__(self) -> None:
@@ -267,14 +267,11 @@ class Setups:
 
     def _scale(self, pose: RestingPose, rng: np.random.Generator) -> float:
         """Factor of an object's size, with which its pose is still one that the task includes."""
-        low, high = self.config.size
-        if low == high == 1.0:
+        if self.config.size == (1.0, 1.0):
             return 1.0  # without a draw, so that episodes are the same as without this range
-        (narrowest, widest) = self.config.width
-        flattest = self.config.flattest
-        low = max(low, narrowest / pose.width, flattest / pose.size[2])
-        high = min(high, widest / pose.width)
-        return float(rng.uniform(min(low, 1.0), max(high, 1.0)))
+        narrowest, widest = self.config.width
+        least = max(narrowest / pose.width, self.config.flattest / pose.size[2])
+        return float(rng.uniform(*np.clip(self.config.size, least, widest / pose.width)))
 
     def reach_of(self, setup: SceneSetup) -> placing.Reach:
         """The reach of the hand of a setup."""

@@ -41,20 +41,17 @@ class Hole:
         centre, half = (tuple(scale * np.array(values)) for values in (self.centre, self.half))
         return Hole(centre, self.axis, half)
 
-    def outside(self, start: Array, end: Array) -> float:
-        """Distance by which a segment in the object's frame misses the opening: 0 on a hit,
-        infinite beside its plane [m].
-        """
+    def hit(self, start: Array, end: Array) -> bool:
+        """Whether a segment in the object's frame passes through the opening."""
         normal = AXES.index(self.axis)
         across = [index for index in range(3) if index != normal]
         before = start[normal] - self.centre[normal]
         after = end[normal] - self.centre[normal]
         if before * after > 0:
-            return np.inf
+            return False
         share = before / (before - after) if before != after else 0.0
         point = (start + share * (end - start) - self.centre)[across]
-        distance = float(np.linalg.norm(point / self.half))
-        return 0.0 if distance <= 1 else float(np.linalg.norm(point) * (1 - 1 / distance))
+        return bool(np.linalg.norm(point / self.half) <= 1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,10 +105,8 @@ class Look:
         poses = self.poses(digit)
         tip = poses[-1][0] + poses[-1][1] @ (0.0, 0.0, _GEOMETRY.digit(digit).phalanges[-1].length)
         places = (np.array([place for place, _ in poses] + [tip]) - self.centre) @ self.rotation
-        missed = min(hole.outside(start, end) for start, end in itertools.pairwise(places[1:]))
-        touches = digit in map(part_of, self.links)
-        if missed == 0:
-            return 1.0 if touches else 0.4
+        if any(hole.hit(start, end) for start, end in itertools.pairwise(places[1:])):
+            return 1.0 if digit in map(part_of, self.links) else 0.4
         return 0.3 * float(np.exp(-np.linalg.norm(places[-1] - hole.centre) / 0.03))
 
 

@@ -15,7 +15,6 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hpac_gym.errors import ParameterError
 from hpac_gym.model import HPAC, Hand, action_from_synergy
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import Contacts, SceneSetup, SceneState
@@ -214,17 +213,14 @@ class GraspByType(Grasp):
         """The setup requested by an episode's first action, shape (12,)."""
         return arrived(setup, action)
 
-    def start(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
-        """Begin to judge episodes in some worlds.
+    def check(self, setup: SceneSetup) -> None:
+        """Refuse a setup that names no grasp type."""
+        check_choice("setup grasp", getattr(setup, "grasp", None), tuple(GRASP_TYPES))
 
-        Raises:
-            ParameterError: A given setup names no grasp type.
-        """
+    def start(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
         super().start(worlds, setups)
         for world, setup in zip(worlds, setups, strict=True):
-            name = getattr(setup, "grasp", None)
-            if name not in GRASP_TYPES:
-                raise ParameterError(f"setup grasp {name!r} is not one of {', '.join(GRASP_TYPES)}")
+            name = setup.grasp
             self.holds.start(world, GRASP_TYPES[name].rule.scaled(setup.object.scale), setup)
             self._types[world] = name
             self.held[world] = False

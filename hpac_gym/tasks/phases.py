@@ -2,7 +2,8 @@
 
 from dataclasses import dataclass
 from functools import lru_cache
-from math import pi, sin
+from math import inf, pi, sin
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,8 +38,7 @@ class Timetable:
     """
 
     def __post_init__(self) -> None:
-        if not min(self.close_time, self.lift_time, self.shake_time, self.place_time) > 0:
-            raise ValueError(f"durations of {self} must be greater than 0 s")
+        _check_durations(self, (self.close_time, self.lift_time, self.shake_time, self.place_time))
         if not (self.shake_distance >= 0 and 0 <= self.clearance <= self.lift_height):
             raise ValueError(
                 f"distances of {self} must not be negative, nor the clearance beyond the lift"
@@ -77,8 +77,6 @@ class PickPlaceTimetable:
         ValueError: A duration that is not positive.
     """
 
-    carry: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Displacement from the object's initial position to the target, in the world [m]."""
     reach_time: float = 0.6
     close_time: float = 1.2
     lift_time: float = 0.6
@@ -95,8 +93,7 @@ class PickPlaceTimetable:
     """Height above the target at which the object is released [m]."""
 
     def __post_init__(self) -> None:
-        if not min(self.durations) > 0:
-            raise ValueError(f"durations of {self} must be greater than 0 s")
+        _check_durations(self, self.durations)
 
     @property
     def durations(self) -> tuple[float, ...]:
@@ -117,9 +114,14 @@ class PickPlaceTimetable:
         """End times of `durations` [s]."""
         return tuple(np.cumsum(self.durations).tolist())
 
-    def wrist_path(self, times: tuple[float, ...]) -> Array:
+    def wrist_path(self, times: tuple[float, ...], carry: Array) -> Array:
         """Offset of the wrist in the world at times [s], shape (len(times), 3) [m]: one
         minimum-jerk profile per move.
+
+        Args:
+            times: when [s].
+            carry: displacement from the object's initial position to the target, in the world,
+                shape (3,) [m].
         """
         offset = np.zeros((len(times), 3))
         ends = self.ends
@@ -128,13 +130,18 @@ class PickPlaceTimetable:
         moves = (  # start time [s], duration [s] and displacement, shape (3,) [m]
             (0.0, self.reach_time, reach),
             (ends[1], self.lift_time, up),
-            (ends[2], self.carry_time, np.array(self.carry)),
+            (ends[2], self.carry_time, carry),
             (ends[3], self.lower_time, np.array([0.0, 0.0, self.clearance]) - up),
             (ends[5], self.retreat_time, -reach),
         )
         for begin, duration, way in moves:
             offset += _shares(begin, duration, times)[:, None] * way
         return offset
+
+
+def _check_durations(timetable: Any, durations: tuple[float, ...]) -> None:
+    if not (min(durations) > 0 and sum(durations) < inf):
+        raise ValueError(f"durations of {timetable} must be finite and greater than 0 s")
 
 
 @lru_cache(maxsize=16)

@@ -3,7 +3,7 @@ how to close and open.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Annotated, Any
 
 import numpy as np
@@ -13,7 +13,7 @@ from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.errors import ParameterError
 from hpac_gym.model import HPAC, Hand
 from hpac_gym.model.checks import Array
-from hpac_gym.physics.engine import SceneSetup, SceneState, Viewpoint
+from hpac_gym.physics.engine import HAND_QUATERNION, SceneSetup, SceneState, Viewpoint
 from hpac_gym.settings import check_bounds, setting, settings_from
 from hpac_gym.tasks.cameras import CameraNoise, ObjectCamera
 from hpac_gym.tasks.grasp_setups import PALM_SURFACE
@@ -230,14 +230,16 @@ class PickPlace(Task):
         )
         return SceneSetup(spec, place, 0.0, open_hand(config.thumb_preshape), hand, target=target)
 
-    def start(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
-        """Begin to judge episodes in some worlds.
-
-        Raises:
-            ParameterError: A setup without a target.
-        """
-        if any(setup.target is None for setup in setups):
+    def check(self, setup: SceneSetup) -> None:
+        """Refuse a setup without a target, or with a turned hand, whose wrist has another path."""
+        if setup.target is None:
             raise ParameterError("a setup of PickPlace needs a target, shape (3,) [m], not None")
+        if setup.hand_quaternion != HAND_QUATERNION:
+            raise ParameterError(
+                f"setup hand_quaternion = {setup.hand_quaternion}: PickPlace has no other than {HAND_QUATERNION}"
+            )
+
+    def start(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
         super().start(worlds, setups)
         index = np.asarray(worlds)
         self._place[index] = [s.position for s in setups]
@@ -252,9 +254,7 @@ class PickPlace(Task):
         the setup's target.
         """
         aside, up, forward = setup.target - setup.position
-        return replace(self.timetable, carry=(float(forward), float(aside), float(up))).wrist_path(
-            times
-        )
+        return self.timetable.wrist_path(times, np.array([forward, aside, up]))
 
     def _offset(self, state: SceneState) -> Array:
         """Displacement of the wrist from its start, along the axes of the hand frame, shape (n, 3)
@@ -275,7 +275,7 @@ class PickPlace(Task):
         away = state.object_pos + self._offset(state)
         close = self.timetable.ends[1]
         lowered = self.timetable.ends[4]
-        closing = state.time < close - dt / 2
+        closing = state.time < close + dt / 2
         self._lowered = state.time > lowered - dt / 2
         up = np.einsum("ni,ni->n", self._rotation[:, 2], state.object_rotation[:, :, 2])
         self._standing = state.on_target & (np.arccos(np.clip(up, -1.0, 1.0)) < config.upright)

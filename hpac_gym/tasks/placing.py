@@ -187,9 +187,8 @@ def moved(setup: SceneSetup, way: Array, turn: float, reach: Reach = NOMINAL_REA
     else:
         forward = max(forward, THUMB_ABOVE + reach.forward + around[0] / 2)
         up = min(up, _highest(forward, around, low, stand, reach))
-    return on_something(
-        replace(turned, position=setup.hand_rotation.T @ np.array([forward, aside, up])), stand
-    )
+    there = replace(turned, position=setup.hand_rotation.T @ np.array([forward, aside, up]))
+    return there if stand else on_something(there, False)
 
 
 def _highest(forward: float, around: Array, low: float, stand: bool, reach: Reach) -> float:

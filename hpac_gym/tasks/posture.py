@@ -176,18 +176,18 @@ class Posture(Task):
 
     def sparse_reward(self, now: Moment) -> Array:
         """0 where the posture is reached, −1 elsewhere, shape (n,)."""
-        return -(self._error.max(axis=1) > self.config.tolerance).astype(float)
+        return self._missed(self._error)
 
     def goal_reward(self, achieved: Array, desired: Array, dense: bool) -> Array:
         """The dense or the sparse reward of postures against goals, shapes (..., 15) [rad], for
         hindsight replay.
         """
         error = goal_error(achieved, desired)
-        return (
-            -error.mean(axis=-1)
-            if dense
-            else -(error.max(axis=-1) > self.config.tolerance).astype(float)
-        )
+        return -error.mean(axis=-1) if dense else self._missed(error)
+
+    def _missed(self, error: Array) -> Array:
+        """−1 where the largest error, over the last axis, is beyond the tolerance, 0 elsewhere."""
+        return -(error.max(axis=-1) > self.config.tolerance).astype(float)
 
     def report(self, now: Moment) -> dict[str, Any]:
         largest = self._error.max(axis=1)

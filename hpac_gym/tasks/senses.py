@@ -244,8 +244,7 @@ class Senses:
         1; unused rows are zero.
         """
         facing, hidden, points = self._sight(state, slice(None), _SPREAD)
-        # One error for all points.
-        shift = (self._seen["position"] - state.object_pos) * self._seen["visible"][:, None]
+        shift = self._camera.error[:, :3]  # one for all points
         seen = facing & ~hidden
         found = np.zeros((len(points), POINTS, 4), np.float32)
         order = np.argsort(~seen, axis=1, kind="stable")[:, :POINTS]
@@ -260,6 +259,8 @@ class Senses:
 
 POINTS_BOUND = 10.0
 """Bound of a point's coordinates, in multiples of `LENGTH_UNIT`."""
+VIEW_TARGET = np.array([0.03, 0.0, 0.10])
+"""Point in the hand frame at which the camera looks, and on which images are centred [m]."""
 
 
 def eye_offset(view: Viewpoint) -> Array:

@@ -102,6 +102,13 @@ class Task(ABC):
         shape (n,).
         """
 
+    def check(self, setup: SceneSetup) -> None:  # noqa: B027
+        """Refuse a setup that was given and is no episode of this task.
+
+        Raises:
+            ParameterError: It is not.
+        """
+
     def prepare(self, num_worlds: int, noise: CameraNoise) -> ObjectCamera | MarkerCamera:
         """Allocate the state of n worlds; returns their camera."""
         self.grip = Grip(num_worlds)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from hpac_gym.body.hands import hand_set
+from hpac_gym.body.objects import Support
 from hpac_gym.envs import GraspAnySetup
 from hpac_gym.envs.episodes import Episodes
 from hpac_gym.envs.options import checked_options
@@ -21,7 +22,7 @@ from hpac_gym.tasks import placing
 from hpac_gym.tasks.grasp_any import PHASES, RAMP, SIDE_DIRECTIONS, SIDES, GraspAny, GraspAnyConfig
 from hpac_gym.tasks.senses import ServoSenses
 from hpac_gym.tasks.task import CONTROL_HZ
-from hpac_gym.tasks.terms import GRASP_CENTRE
+from hpac_gym.tasks.terms import GRASP_CENTRE, LENGTH_UNIT
 from tests.envs.episodes import a_setup
 
 ID = "HPAC-GraspAny-v1"
@@ -325,8 +326,54 @@ def test_objects_of_other_sizes_keep_their_density_and_stay_graspable():
         scales.append(spec.scale)
     assert min(scales) < 0.75
     assert max(scales) > 1.3
+    larger = GraspAny("real", config=GraspAnyConfig(size=(1.3, 1.3)))
+    for seed in range(50):
+        spec = (setup := larger.setup(np.random.default_rng(seed))).object
+        widest = config.width[1] / poses[spec.model.name, setup.object_quaternion].width
+        assert spec.scale == pytest.approx(min(1.3, widest))
     with pytest.raises(ParameterError, match="config size"):
         GraspAnyConfig(size=(0.1, 3.0))
+
+
+def test_points_that_are_seen_of_a_hidden_object_have_the_camera_s_error():
+    """Against the same episodes before a camera without noise."""
+    errors = []
+    for noise in ({"position": 0.0}, {"position": 0.01}):
+        with make(obs="points", noise=noise) as env:
+            rows = []
+            for seed in range(4):
+                env.reset(seed=seed)
+                for _ in range(50):
+                    seen, _, over, *_ = env.step(CLOSED)
+                    points = seen["points"]
+                    hidden = seen["deploy"][env.unwrapped.slices["object_seen"]][0] == 0
+                    if hidden and points[0, 3]:
+                        rows.append(points[0, :3])
+                    if over:
+                        break
+            errors.append(np.array(rows))
+    assert len(errors[0]) > 10
+    assert np.std(errors[1] - errors[0]) * LENGTH_UNIT == pytest.approx(0.01, rel=0.25)
+
+
+def test_the_hand_stays_up_after_a_lift_of_any_height():
+    task = GraspAny(config={"timetable": {"lift_height": 0.2}})
+    times = tuple(np.arange(0.05, task.duration, 0.05).tolist())
+    height = task.wrist_path(task.setup(np.random.default_rng(0)), times)[:, 2]
+    assert height[-1] == pytest.approx(0.2)
+    assert np.diff(height).min() > -0.021, "but for the shake"
+
+
+def test_a_post_stays_where_the_wrist_is_moved():
+    task = GraspAny("train", wrist="free")
+    setups = [task.setup(np.random.default_rng(seed)) for seed in range(40)]
+    (setup, *_) = [
+        one for one in setups if one.support and one.support.half_width != placing.BOARD_HALF_WIDTH
+    ]
+    own = replace(setup, support=Support((0.03, 0.03), table_height=0.05))
+    moved = placing.moved(own, np.array([0.01, 0.0, 0.0]), 0.2)
+    assert moved.support == own.support
+    assert not np.array_equal(moved.position, own.position)
 
 
 def test_the_first_action_moves_a_free_wrist_and_later_ones_do_not():

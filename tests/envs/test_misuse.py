@@ -24,7 +24,7 @@ from hpac_gym.errors import EpisodeError, HpacError, ParameterError, ShapeError,
 from hpac_gym.model import HPAC
 from hpac_gym.physics.engine import SceneSetup
 from hpac_gym.physics.settings import WorldSettings
-from hpac_gym.registration import GRASP, GRASP_ANY, GRASP_TYPE, IDS, POSTURE
+from hpac_gym.registration import GENTLE, GRASP, GRASP_ANY, GRASP_TYPE, IDS, PICK_PLACE, POSTURE
 from hpac_gym.tasks.cameras import CameraNoise
 from hpac_gym.tasks.grasp import GraspConfig
 from hpac_gym.tasks.phases import Timetable
@@ -140,6 +140,7 @@ def a_setup(**change) -> SceneSetup:
     return replace(EASY, **change)
 
 
+DURATIONS = ("close_time", "lift_time", "shake_time", "place_time")
 SETUPS = [
     ({"setup": "nonsense"}, ParameterError, "SceneSetup.*'nonsense'"),
     ({"setup": 0}, ParameterError, "SceneSetup.*0"),
@@ -152,7 +153,7 @@ SETUPS = [
         r"setup position\[1\] = nan",
     ),
     ({"setup": a_setup(position=np.zeros(2))}, ShapeError, r"setup position.*\(2,\)"),
-    ({"setup": a_setup(yaw=np.nan)}, ShapeError, r"setup yaw.* = nan"),
+    ({"setup": a_setup(yaw=np.nan)}, ParameterError, r"setup yaw.* = nan"),
     ({"setup": a_setup(synergy=np.full(6, np.inf))}, ShapeError, r"setup synergy\[0\] = inf"),
     (
         {"setup": a_setup(hand_quaternion=(0.5, 0.5, 0.5, np.nan))},
@@ -216,6 +217,53 @@ def test_a_reset_that_is_refused_names_what_is_wrong_and_leaves_no_episode_runni
     env.reset(seed=0, options={})
     env.step(np.zeros(6, np.float32))
     env.close()
+
+
+@pytest.mark.parametrize(
+    ("env_id", "change", "message"),
+    [
+        (GENTLE, {"crush_limit": np.nan}, "setup crush_limit = nan N must be a number within"),
+        (
+            GENTLE,
+            {"crush_limit": 0.0},
+            r"crush_limit = 0.0 N must be a number within \[0.1, 1000\]",
+        ),
+        (GENTLE, {"crush_limit": "x"}, "crush_limit = 'x' N must be a number"),
+        (GRASP, {"rest_height": -1.0}, r"rest_height = -1.0 m must be a number within \]0, 1\] m"),
+        (GRASP, {"rest_height": np.nan}, "rest_height = nan m"),
+        (GRASP_ANY, {"pull": np.array([0.0, 0.0, 10.0])}, "setup pull = .* of norm 10: must be 1"),
+        (GRASP_ANY, {"pull": np.zeros(3)}, "setup pull = .* of norm 0: must be 1"),
+        (
+            GRASP_ANY,
+            {"pull": np.array([np.nan, 0.0, 1.0])},
+            r"setup pull\[0\] = nan must be a finite",
+        ),
+        (GRASP_ANY, {"pull": np.ones(2)}, r"setup pull must have shape \(..., 3\), not \(2,\)"),
+        (GRASP_TYPE, {"grasp": ["rod"]}, r"setup grasp \['rod'\] is not one of"),
+        (PICK_PLACE, {"target": None}, "a setup of PickPlace needs a target"),
+        (
+            PICK_PLACE,
+            {"hand_quaternion": (0.0, 0.0, 0.0, 1.0)},
+            "hand_quaternion = .* no other than",
+        ),
+    ],
+)
+def test_a_setup_that_is_no_episode_of_its_task_is_refused(env_id, change, message):
+    with gymnasium.make(env_id) as env:
+        env.reset(seed=0)
+        (drawn,) = env.unwrapped.episodes.setups
+        env.reset(options={"setup": drawn})
+        with pytest.raises(HpacError, match=message):
+            env.reset(options={"setup": replace(drawn, **change)})
+
+
+def test_one_environment_takes_a_list_of_one_setup():
+    envs = gymnasium.make_vec(GRASP, num_envs=1)
+    envs.reset(options={"setup": [EASY]})
+    assert envs.unwrapped.episodes.setups[0].object == EASY.object
+    with pytest.raises(ParameterError, match="2 setups were given for 1 environments"):
+        envs.reset(options={"setup": [EASY, EASY]})
+    envs.close()
 
 
 def test_a_setup_of_lists_is_that_of_its_arrays_and_tuples():
@@ -352,6 +400,17 @@ PRESET = r"randomize must be a preset \(nominal, .*; got "
             "config radius, mass: an object of one's own has its own size, mass and friction",
         ),
         (
+            GRASP,
+            {"config": {"timetable": dict.fromkeys(DURATIONS, 0.001)}},
+            "an episode of 0.004 s must have a control step of 0.05 s, and an end",
+        ),
+        (PICK_PLACE, {"config": {"timetable": {"carry": [1, 1, 1]}}}, "has no field 'carry'"),
+        (
+            GENTLE,
+            {"config": {"sphere_radius": [0.025, 0.03]}},
+            "config sphere_radius: there are no spheres",
+        ),
+        (
             POSTURE,
             {"config": {"duration": 3.0}},
             r"config duration = 3.0 s: give .*max_episode_steps",
@@ -401,6 +460,13 @@ def test_what_is_refused_is_named_in_one_line(name, options, message):
     with pytest.raises(HpacError, match=message) as error:
         gymnasium.make(name, **options)
     assert "\n" not in str(error.value)
+
+
+def test_a_timetable_without_an_end_and_a_number_of_environments_that_is_none_are_refused():
+    with pytest.raises(ValueError, match="must be finite and greater than 0 s"):
+        Timetable(close_time=np.inf)
+    with pytest.raises(ParameterError, match="num_envs = True must be a whole number"):
+        gymnasium.make_vec(GRASP, num_envs=True)
 
 
 def test_a_spec_that_names_the_hand_of_the_paper_can_be_made_again():

@@ -61,6 +61,14 @@ def test_holding_on_pays_only_until_the_hand_is_lowered():
     assert not any(paid[lowered - 1 :])
 
 
+def test_a_push_counts_to_the_end_of_the_closing(env):
+    env.reset(seed=0)
+    env.unwrapped.task._place[0, 1] += 0.02
+    close = round(PickPlaceTimetable().ends[1] * 20)
+    pushed = [env.step(OPEN)[-1]["reward_terms"]["push"] for _ in range(close)]
+    np.testing.assert_allclose(pushed, -0.3 * 0.02 / PickPlaceConfig().drop_distance, atol=0.02)
+
+
 def test_the_four_phases_come_in_order(scripted):
     names = [info["phase"] for info in scripted[2][0]]
     assert sorted(names, key=PHASES.index) == names
@@ -103,9 +111,10 @@ def test_the_target_in_the_observation_moves_with_the_wrist(env):
 
 
 def test_the_wrist_path_is_smooth_and_ends_where_it_should():
-    table = PickPlaceTimetable(carry=(0.05, 0.2, 0.01))
+    table = PickPlaceTimetable()
     dt = 1e-3
-    offsets = table.wrist_path(tuple(np.arange(0, table.ends[-1], dt).tolist()))
+    times = tuple(np.arange(0, table.ends[-1], dt).tolist())
+    offsets = table.wrist_path(times, np.array([0.05, 0.2, 0.01]))
     assert np.abs(np.diff(offsets, 2, axis=0) / dt**2).max() < 5.0  # [m/s²]
     np.testing.assert_allclose(offsets[-1], [0.05, 0.2, 0.01 + table.clearance], atol=1e-6)
 

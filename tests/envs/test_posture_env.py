@@ -1,5 +1,6 @@
 """HPAC-Posture-v1: goals, rewards, and hindsight replay."""
 
+from dataclasses import replace
 from itertools import islice
 
 import gymnasium
@@ -10,6 +11,7 @@ from hpac_gym.envs import GoalEnv, Posture
 from hpac_gym.envs.randomization import PRESETS
 from hpac_gym.errors import ShapeError
 from hpac_gym.model import HPAC, JOINTS, joints_from_synergy, synergy_from_joints
+from hpac_gym.model.calibration import Calibration
 from hpac_gym.physics.simulation import ENGINES
 from hpac_gym.tasks import posture
 from hpac_gym.tasks.posture import CAMERA_NOISE, TOLERANCE, ScriptedPosture
@@ -137,6 +139,15 @@ def test_a_goal_can_be_given(env):
     for wrong in (np.zeros(6), np.full(15, np.nan)):
         with pytest.raises(ShapeError, match="goal"):
             env.reset(options={"goal": wrong})
+
+
+def test_a_given_goal_leaves_the_hand_as_it_is():
+    hand = replace(HPAC, calibration=Calibration(servo_zero=(0.05,) * 6))
+    with gymnasium.make(ID, randomize="nominal", hand=hand) as env:
+        for options in (None, {"goal": np.full(15, 0.2)}):
+            env.reset(seed=0, options=options)
+            (setup,) = env.unwrapped.episodes.setups
+            assert setup.hand_settings.servo_zero == (0.05,) * 6
 
 
 def test_only_the_time_limit_ends_an_episode_and_the_goals_say_so_too(env):

@@ -66,6 +66,7 @@ def test_the_same_actions_from_a_saved_state_give_the_same_steps_to_the_bit(
     actions = np.concatenate([actions, np.tile(place, (steps, 1))], axis=1).astype(np.float32)
     env.reset(seed=5)
     saved = [(0, env.save_state())]
+    begun = env.episodes.observe()
     rows = []
     for number, action in enumerate(actions, 1):
         rows.append(env.step(action))
@@ -75,6 +76,8 @@ def test_the_same_actions_from_a_saved_state_give_the_same_steps_to_the_bit(
             saved.append((number, env.save_state()))
     for number, state in (*reversed(saved), saved[0]):
         env.restore_state(state)
+        if number == 0:
+            np.testing.assert_equal(env.episodes.observe(), begun)
         told(env, rng.uniform(-1, 1, (4, *env.action_space.shape)).astype(np.float32))
         env.restore_state(state)
         np.testing.assert_equal(

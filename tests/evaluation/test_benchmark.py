@@ -4,6 +4,8 @@ refused once it is wrong.
 
 import copy
 import json
+import shlex
+import sys
 from pathlib import Path
 
 import gymnasium
@@ -87,8 +89,11 @@ def test_a_training_is_judged_by_five_runs_in_every_split(trained):
     assert f"| {', '.join(f'{100 * n / 40:.1f}' for n in won)} | end" in table(trained)
 
 
-def test_what_nobody_trained_has_one_run_with_its_wilson_interval(tmp_path, capsys):
+def test_what_nobody_trained_has_one_run_with_its_wilson_interval(tmp_path, capsys, monkeypatch):
+    words = ["hpac", "benchmark", TINY, "--about", "a line, see there"]
+    monkeypatch.setattr(sys, "argv", words)
     results = submit(tmp_path / "random.json", policy="hpac_gym.policies.baselines:RandomPolicy")
+    assert shlex.split(results["command"]) == words
     (cell, _) = results["cells"]
     (row, *_) = results["summary"]
     assert row["iqm"] == cell["successes"] / 40

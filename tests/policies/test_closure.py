@@ -158,3 +158,12 @@ def test_the_first_entry_that_differs_is_named(described):
     assert difference(
         described, described | {"observation": described["observation"][:-1]}
     ).endswith("and is none")
+
+
+def test_a_range_of_one_value_has_a_decision_and_one_beyond_an_action_is_refused():
+    closures = Closures(goal=(0.5, 0.5))
+    values = [*[0.5] * 6, 10.0, 0.0]
+    np.testing.assert_allclose(way(closures, closures.decisions(values))[40, 0], 0.5)
+    for name in ("goal", "wrist", "shift"):
+        with pytest.raises(PolicyError, match=rf"range {name} = \(-5, 5\) must .* within ±1"):
+            Closures(**{name: (-5, 5)})

@@ -1,5 +1,6 @@
 """Models that Stable-Baselines3 saved are policies wherever a policy goes."""
 
+import contextlib
 import json
 import pickle
 import shutil
@@ -112,6 +113,18 @@ def test_a_model_that_observes_pictures_acts_as_it_did(normalized, tmp_path):
     np.testing.assert_array_equal(
         policy.predict(seen)[0], model.predict(scaled, None, None, True)[0]
     )
+
+
+def test_a_model_of_scaled_vectors_beside_pictures_is_refused_without_its_statistics(tmp_path):
+    model = sb3.PPO("MultiInputPolicy", DummyVecEnv([Seeing]), n_steps=4, batch_size=4)
+    model.learn(4)
+    for place, refused in ((0.5, False), (5.0, True)):
+        model._last_obs["deploy"][:] = place
+        model.save(tmp_path / "model.zip")
+        with (
+            pytest.raises(PolicyError, match="--normalize") if refused else contextlib.nullcontext()
+        ):
+            load_policy(str(tmp_path / "model.zip"), Seeing())
 
 
 def test_a_recurrent_model_forgets_an_episode_when_the_next_begins(tmp_path):
