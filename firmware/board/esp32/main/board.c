@@ -1,5 +1,7 @@
 #include "board.h"
 
+#include <string.h>
+
 #include "driver/gpio.h"
 #include "esp_adc/adc_oneshot.h"
 #include "esp_err.h"
@@ -15,6 +17,12 @@
 #define ADC_MAX 4095
 
 static adc_oneshot_unit_handle_t adc;
+
+/* Answers that the port has not taken yet. */
+static struct {
+    uint8_t bytes[2u * HPAC_WIRE_MAX];
+    size_t length;
+} pending;
 
 void board_output(int pin, uint32_t level)
 {
@@ -39,7 +47,7 @@ static void start_port(void)
         .flow_ctrl = UART_HW_FLOWCTRL_DISABLE,
         .source_clk = UART_SCLK_DEFAULT,
     };
-    ESP_ERROR_CHECK(uart_driver_install(UART_NUM_0, RING_BYTES, RING_BYTES, 0, NULL, 0));
+    ESP_ERROR_CHECK(uart_driver_install(UART_NUM_0, RING_BYTES, 0, 0, NULL, 0)); /* its own buffer for answers would wait */
     ESP_ERROR_CHECK(uart_param_config(UART_NUM_0, &settings));
     /* without a console nobody else has routed UART0 to its pins, and the port would be deaf */
     ESP_ERROR_CHECK(uart_set_pin(UART_NUM_0, UART_TX_PIN, UART_RX_PIN, UART_PIN_NO_CHANGE, UART_PIN_NO_CHANGE));
@@ -71,23 +79,27 @@ size_t board_read(uint8_t *bytes, size_t capacity)
     return length > 0 ? (size_t)length : 0u;
 }
 
-/* The USB driver does not tell its room, but takes whole pieces or nothing and never waits: an answer of the hand fits. */
+/* Neither waits: the UART's FIFO takes what it has room for, the USB driver a whole piece or nothing. */
 size_t board_room(void)
 {
-    size_t room = HPAC_FRAME_MAX + 3u;
-#if !PORT_IS_USB
-    ESP_ERROR_CHECK(uart_get_tx_buffer_free_size(UART_NUM_0, &room));
+    if (pending.length > 0u) {
+#if PORT_IS_USB
+        int sent = usb_serial_jtag_write_bytes(pending.bytes, pending.length, 0);
+#else
+        int sent = uart_tx_chars(UART_NUM_0, (const char *)pending.bytes, (uint32_t)pending.length);
 #endif
-    return room;
+        size_t taken = sent > 0 ? (size_t)sent : 0u;
+        pending.length -= taken;
+        memmove(pending.bytes, pending.bytes + taken, pending.length);
+    }
+    return sizeof pending.bytes - pending.length;
 }
 
 void board_write(const uint8_t *bytes, size_t length)
 {
-#if PORT_IS_USB
-    usb_serial_jtag_write_bytes(bytes, length, 0); /* nobody reads: lost, as on any wire */
-#else
-    uart_write_bytes(UART_NUM_0, bytes, length);
-#endif
+    memcpy(pending.bytes + pending.length, bytes, length);
+    pending.length += length;
+    board_room();
 }
 
 void board_power(bool on) { ESP_ERROR_CHECK(gpio_set_level(SUPPLY_SWITCH_PIN, on ? 1 : 0)); }

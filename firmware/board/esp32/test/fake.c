@@ -17,7 +17,8 @@
 #include "pins.h"
 #include "soc/soc_caps.h"
 
-#define ROOM 61 /* a byte less than the longest answer takes */
+#define FIFO_BYTES 128
+#define BYTES_A_MS (HPAC_BAUD / 10 / 1000)
 
 void app_main(void);
 
@@ -108,6 +109,7 @@ void vTaskDelay(uint32_t ticks)
             }
         }
     }
+    fake.fifo -= fake.fifo < BYTES_A_MS * ticks ? fake.fifo : BYTES_A_MS * ticks;
     if (fake.now_us - fake.fed_us > fake.longest_unfed_us) {
         fake.longest_unfed_us = fake.now_us - fake.fed_us;
     }
@@ -196,7 +198,7 @@ esp_err_t adc_oneshot_read(adc_oneshot_unit_handle_t unit, adc_channel_t channel
 esp_err_t uart_driver_install(int port, int rx_bytes, int tx_bytes, int queue_length, void *queue, int flags)
 {
     fake.uart_installed = true;
-    return fine(port == UART_NUM_0 && rx_bytes > 128 && tx_bytes > 128 && queue_length == 0 && queue == NULL && flags == 0);
+    return fine(port == UART_NUM_0 && rx_bytes > 128 && tx_bytes == 0 && queue_length == 0 && queue == NULL && flags == 0);
 }
 
 esp_err_t uart_param_config(int port, const uart_config_t *config)
@@ -238,16 +240,13 @@ int uart_read_bytes(int port, void *buffer, uint32_t length, uint32_t ticks)
     return fake.rx_pin < 0 ? 0 : receive(buffer, length);
 }
 
-int uart_write_bytes(int port, const void *bytes, size_t length)
+int uart_tx_chars(int port, const char *bytes, uint32_t length)
 {
-    fine(port == UART_NUM_0 && length <= ROOM); /* more would wait */
-    return fake.tx_pin < 0 ? 0 : send(bytes, length);
-}
-
-esp_err_t uart_get_tx_buffer_free_size(int port, size_t *size)
-{
-    *size = ROOM;
-    return fine(port == UART_NUM_0);
+    size_t room = FIFO_BYTES - fake.fifo;
+    size_t taken = length < room ? length : room;
+    fine(port == UART_NUM_0 && fake.uart_installed && fake.uart_set);
+    fake.fifo += taken;
+    return fake.tx_pin < 0 ? (int)taken : send(bytes, taken);
 }
 
 esp_err_t usb_serial_jtag_driver_install(usb_serial_jtag_driver_config_t *config)
@@ -264,8 +263,8 @@ int usb_serial_jtag_read_bytes(void *buffer, uint32_t length, uint32_t ticks)
 
 int usb_serial_jtag_write_bytes(const void *bytes, size_t length, uint32_t ticks)
 {
-    fine(fake.usb && ticks == 0u);
-    return send(bytes, length);
+    fine(fake.usb && ticks == 0u && length > 0u);
+    return fake.unread ? 0 : send(bytes, length);
 }
 
 /* --- LEDC --- */

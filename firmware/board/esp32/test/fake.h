@@ -39,7 +39,9 @@ typedef struct {
     uint8_t i2c[256];      /* the PCA9685's registers */
     int i2c_faults;        /* so many transfers from now on fail */
     int i2c_flips;         /* so many writes from now on arrive with one bit wrong */
-    uint8_t sent[4096];
+    size_t fifo;           /* bytes that wait in the UART */
+    bool unread;           /* nobody reads the USB: its driver takes nothing */
+    uint8_t sent[16384];
     size_t sent_length;
 } fake_t;
 

@@ -74,11 +74,13 @@ static void say_move(uint16_t duration_ms)
     say(HPAC_MOVE, move, sizeof move);
 }
 
+static unsigned answers; /* of the type that heard() was called with last */
+
 /* The payload of the latest answer of a type, or NULL. */
 static const uint8_t *heard(uint8_t type)
 {
     static uint8_t latest[128];
-    bool found = false;
+    answers = 0;
     size_t start = 0;
     for (size_t i = 0; i < fake.sent_length; i++) {
         if (fake.sent[i] != 0u) {
@@ -89,11 +91,11 @@ static const uint8_t *heard(uint8_t type)
         if (i > start && i - start < 100u && oracle_decode(fake.sent + start, i - start, frame, &length) == ORACLE_INTACT
             && frame[HPAC_AT_TYPE] == type) {
             memcpy(latest, frame, sizeof latest);
-            found = true;
+            answers++;
         }
         start = i + 1u;
     }
-    return found ? latest + HPAC_HEADER_LENGTH : NULL;
+    return answers > 0u ? latest + HPAC_HEADER_LENGTH : NULL;
 }
 
 /* Ask for STATUS, to be heard one ms later. */
@@ -215,6 +217,24 @@ static void once_a_period(int ms)
         CHECK(status_of(HPAC_DEVICE_STATUS_AT_OVERRUN, 2) == 0u && status_of(HPAC_DEVICE_STATUS_AT_REFUSED, 2) == 0u);
         CHECK(silent() && !powered());
     }
+}
+
+/* A host that asks for more than the line carries, or does not read its USB: answers come whole, or are counted. */
+static void asks_too_much(int ms)
+{
+    static unsigned lost;
+    open_session(ms);
+    fake.unread = ms > 30 && ms < 100;
+    if (ms > 20 && ms <= 140) {
+        uint8_t payload[HPAC_STATUS_LENGTH] = { 0 };
+        say(HPAC_STATUS, payload, sizeof payload);
+    } else if (ms == 200) {
+        heard(HPAC_DEVICE_STATUS);
+        CHECK(answers > 0u && answers < 120u);
+        lost = 120u - answers;
+        ask_status();
+    }
+    CHECK(ms != 210 || status_of(HPAC_DEVICE_STATUS_AT_DROPPED, 2) == lost);
 }
 
 static void stays_silent(int ms)
@@ -476,6 +496,7 @@ int main(void)
     }
     fake_boot(ESP_RST_POWERON, once_a_period, 4320);
     fake_boot(ESP_RST_POWERON, a_frame_comes_byte_by_byte, 50);
+    fake_boot(ESP_RST_POWERON, asks_too_much, 210);
     the_bus_and_its_faults();
     fake_boot(ESP_RST_BROWNOUT, stays_silent, 300);
     fake_boot(ESP_RST_TASK_WDT, stays_silent, 300);

@@ -20,7 +20,6 @@ typedef struct {
 esp_err_t uart_driver_install(int port, int rx_bytes, int tx_bytes, int queue_length, void *queue, int flags);
 esp_err_t uart_param_config(int port, const uart_config_t *config);
 int uart_read_bytes(int port, void *buffer, uint32_t length, uint32_t ticks);
-int uart_write_bytes(int port, const void *bytes, size_t length);
-esp_err_t uart_get_tx_buffer_free_size(int port, size_t *size);
+int uart_tx_chars(int port, const char *bytes, uint32_t length);
 #define UART_PIN_NO_CHANGE (-1)
 esp_err_t uart_set_pin(int port, int tx, int rx, int rts, int cts);
