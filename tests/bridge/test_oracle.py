@@ -21,8 +21,11 @@ HALF = np.full(6, 0.5)
 WATCHDOG_MS = 250
 
 
-def arm(watchdog_ms=WATCHDOG_MS, action=wire.DETACH, session=OURS):
-    return session + struct.pack("<IHB", 7, watchdog_ms, action)
+LIMITS_HASH = 0xA6ACE921  # of the table in docs/wire.md
+
+
+def arm(watchdog_ms=WATCHDOG_MS, action=wire.DETACH, session=OURS, limits_hash=LIMITS_HASH):
+    return session + struct.pack("<IHB", limits_hash, watchdog_ms, action)
 
 
 def move(duration_ms=1000, steps=(100,) * 6, session=OURS):
@@ -110,6 +113,7 @@ ARMED = (HELLO, (wire.ARM, arm()))
         (wire.ARM, arm(watchdog_ms=2000), 0, False),
         (wire.ARM, arm(watchdog_ms=2001), 0, True),
         (wire.ARM, arm(action=3), 0, True),
+        (wire.ARM, arm(limits_hash=LIMITS_HASH ^ 1), 0, True),
         (wire.MOVE, move(), wire.NO_ACK | wire.MINIMUM_JERK, False),
         (wire.MOVE, move(), 4, True),
         (wire.MOVE, move(session=OTHER), 0, True),

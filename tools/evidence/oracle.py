@@ -6,6 +6,7 @@ servo table from the hand's parameters, and its own clock; it imports nothing fr
 codec or the firmware core."""
 
 import struct
+import zlib
 from collections import Counter
 from dataclasses import dataclass
 
@@ -22,6 +23,8 @@ STEP_MAX_US = 20_000
 RATE_EXCESS = 1.01
 NS_PER_RAD = 636_620.0
 CENTRE_NS = 1_500_000.0
+HASHED = (wire.VERSION, 20_000_000, 500_000, 2_500_000, 100, 1000, 10, 20, 250)
+"""What the limits hash covers before the servos."""
 ROUNDING = 3e-6
 """Tolerance for rounding of pulses to nanoseconds and angles to microradians [rad]."""
 CREDIT_TIME = 1e-3
@@ -73,8 +76,11 @@ class Conversation:
             without one.
     """
 
-    def __init__(self, findings: Findings, low: list[float], high: list[float]) -> None:
+    def __init__(
+        self, findings: Findings, low: list[float], high: list[float], limits_hash: int
+    ) -> None:
         self._findings = findings
+        self._limits_hash = limits_hash
         self._low = low
         self._high = high
         self._from_host = wire.Reader()
@@ -181,7 +187,9 @@ class Conversation:
         if not self.session or session != self.session:
             return f"session {session:08x} instead of {self.session:08x}"
         if message.kind == wire.ARM:
-            _, _, watchdog_ms, action = struct.unpack("<IIHB", message.payload)
+            _, limits_hash, watchdog_ms, action = struct.unpack("<IIHB", message.payload)
+            if limits_hash != self._limits_hash:
+                return f"limits hash {limits_hash:08x} instead of {self._limits_hash:08x}"
             if action > wire.DETACH or not WATCHDOG_US[0] <= watchdog_ms * 1000 <= WATCHDOG_US[1]:
                 return f"action {action}, watchdog {watchdog_ms} ms"
             return "a fault is latched" if self.ending >= 0 else None
@@ -230,7 +238,10 @@ class Oracle(Findings):
         )
         self._period_us = period_us
         self._way_to_rest_us = 1e6 * float(((high - low) / (RELAX_SHARE * rate)).max())
-        self.said = Conversation(self, self._low, self._high)
+        urad = (1e6 * np.array([self._low, self._high, self._rest, self._centre, self._rate])).T
+        numbers = [[*np.rint(row).astype(int), NS_PER_RAD, CENTRE_NS, 0, 1] for row in urad]
+        packed = struct.pack("<63i", *HASHED, *map(int, np.ravel(numbers)))
+        self.said = Conversation(self, self._low, self._high, zlib.crc32(packed))
         self.power_on()
 
     def power_on(self) -> None:
