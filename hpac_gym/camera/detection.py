@@ -16,7 +16,7 @@ import numpy as np
 
 from hpac_gym.camera import CameraError, opencv
 from hpac_gym.camera.sheet import TAGS
-from hpac_gym.model.checks import Array
+from hpac_gym.model.checks import Array, as_finite_vector
 
 HD = (1280, 720)
 FIELD_OF_VIEW_DEG = 65.0
@@ -27,6 +27,8 @@ Seen = dict[int, Array]
 """
 READS = 5
 """Reads of a camera that fail in a row before it counts as gone (chosen)."""
+_MEASURED = {"size": 2, "focal": 2, "centre": 2, "distortion": 5}
+"""What a calibration measures, and how many numbers each has."""
 _Result = TypeVar("_Result")
 _EDGE_PART = (0.08, 0.92)
 """Part of an edge on which it is looked for."""
@@ -40,18 +42,18 @@ _EDGE_LEAST = 0.2
 
 @dataclass(frozen=True, slots=True)
 class Lens:
-    """A camera's numbers, in OpenCV's model: focal lengths, principal point [pixels], distortion.
+    """A camera's numbers, in OpenCV's model: focal lengths, principal point [pixels], distortion;
+    as they stand those of a camera of `HD` with `FIELD_OF_VIEW_DEG`.
 
     Raises:
-        CameraError: A number is missing, not finite, or not positive where it must be.
+        ShapeError: A number is missing or not finite.
+        CameraError: One is not positive where it must be, or a quaternion is not of length 1.
     """
 
     size: tuple[int, int] = HD
     """Width and height of its pictures [pixels]."""
-    focal: tuple[float, float] = (0.0, 0.0)
-    """Zero: of a camera with `FIELD_OF_VIEW_DEG`."""
-    centre: tuple[float, float] = (0.0, 0.0)
-    """Zero: the middle of the picture."""
+    focal: tuple[float, float] = (HD[0] / 2 / np.tan(np.radians(FIELD_OF_VIEW_DEG) / 2),) * 2
+    centre: tuple[float, float] = ((HD[0] - 1) / 2, (HD[1] - 1) / 2)
     distortion: tuple[float, ...] = (0.0,) * 5
     hand_board: tuple[float, ...] | None = None
     """Where the hand's board is in the hand's frame: x, y, z [m] and a quaternion xyzw; None is
@@ -61,28 +63,18 @@ class Lens:
     """The same of the object's board in the object's axes; None: flat on its top."""
 
     def __post_init__(self) -> None:
-        counts = {
-            "size": 2,
-            "focal": 2,
-            "centre": 2,
-            "distortion": 5,
-            "hand_board": 7,
-            "object_board": 7,
+        boards = {
+            name: 7 for name in ("hand_board", "object_board") if getattr(self, name) is not None
         }
-        for name, count in counts.items():
+        for name, count in (_MEASURED | boards).items():
             values = getattr(self, name)
-            if values is None and name.endswith("board"):
-                continue
-            if np.shape(values) != (count,) or not np.isfinite(np.array(values, dtype=float)).all():
-                raise CameraError(f"{name} = {values} must be {count} numbers")
+            as_finite_vector(values, count, name)
             object.__setattr__(self, name, tuple(values))
-        if min(self.size) <= 0 or min(self.focal) < 0:
+        if min(*self.size, *self.focal) <= 0:
             raise CameraError(f"size {self.size} and focal {self.focal} must be positive [pixels]")
-        if not any(self.focal):
-            guess = self.size[0] / 2 / np.tan(np.radians(FIELD_OF_VIEW_DEG) / 2)
-            object.__setattr__(self, "focal", (guess, guess))
-        if not any(self.centre):
-            object.__setattr__(self, "centre", ((self.size[0] - 1) / 2, (self.size[1] - 1) / 2))
+        for name in boards:
+            if not 0.9 <= (length := np.linalg.norm(getattr(self, name)[3:])) <= 1.1:
+                raise CameraError(f"{name}: the quaternion's length is {length:.3g}, it must be 1")
 
     def require(self, picture: np.ndarray) -> None:
         """Check that a picture is of this camera.
@@ -113,13 +105,18 @@ def load_lens(path: Path) -> Lens:
     """Read a camera's file, as ``hpac tags --calibrate`` writes it.
 
     Raises:
-        CameraError: It cannot be read, or is no such file.
+        CameraError: It cannot be read, or is no such file, or a number is missing.
     """
     try:
         table = json.loads(path.read_text(encoding="utf-8"))
         if table.pop("hpac_camera") != 1:
             raise CameraError("hpac_camera is not 1")
-        return Lens(**table)
+        lens = Lens(**table)
+        if missing := [name for name in _MEASURED if name not in table]:
+            raise CameraError(
+                f"without {', '.join(missing)}; `hpac tags --calibrate` measures them"
+            )
+        return lens
     except OSError as error:
         raise CameraError(f"camera {path}: {error.strerror}") from None
     except (ValueError, KeyError, TypeError, AttributeError, CameraError) as error:
@@ -248,11 +245,11 @@ class Device:
 
     def __init__(self, name: str, size: tuple[int, int] = HD) -> None:
         cv2 = opencv()
-        self._video = cv2.VideoCapture(int(name) if name.isdigit() else name)
+        self._video = cv2.VideoCapture(int(name) if name.isdecimal() else name)
         if not self._video.isOpened():
             raise CameraError(f"camera {name} cannot be opened")
-        self._reads = READS if name.isdigit() else 1
-        if name.isdigit():
+        self._reads = READS if name.isdecimal() else 1
+        if name.isdecimal():
             self._video.set(cv2.CAP_PROP_FRAME_WIDTH, size[0])
             self._video.set(cv2.CAP_PROP_FRAME_HEIGHT, size[1])
 

@@ -160,7 +160,7 @@ class Video:
 
 @pytest.mark.parametrize(
     ("name", "failed", "goes_on"),
-    [("0", READS - 1, True), ("0", READS, False), ("film.avi", 1, False)],
+    [("0", READS - 1, True), ("0", READS, False), ("film.avi", 1, False), ("²", 1, False)],
 )
 def test_a_live_camera_may_fail_a_few_times_and_the_end_of_a_video_is_its_end(
     monkeypatch, name, failed, goes_on
@@ -187,10 +187,23 @@ def test_the_same_picture_again_calibrates_nothing():
         ("{", "camera .*: Expecting property name"),
         ("[1]", "camera .*"),
         ('{"hpac_camera": 2}', "hpac_camera is not 1"),
-        ('{"hpac_camera": 1, "focal": [1, 2, 3]}', "focal = .* must be 2 numbers"),
+        ('{"hpac_camera": 1, "focal": [1, 2, 3]}', r"focal must have shape \(..., 2\)"),
         ('{"hpac_camera": 1, "focal": [-1, 1]}', "must be positive"),
+        ('{"hpac_camera": 1, "focal": [900, 0]}', "must be positive"),
+        ('{"hpac_camera": 1, "focal": [0, 0]}', "must be positive"),
+        ('{"hpac_camera": 1, "focal": [[1], [2, 3]]}', "focal must be an array of numbers"),
+        ('{"hpac_camera": 1, "focal": [900, 900]}', "without size, centre, distortion"),
+        ('{"hpac_camera": 1, "distortion": ["0", "0", "0", "0", "0"]}', "of numbers: <U1 is not"),
         ('{"hpac_camera": 1, "zoom": 1}', "zoom"),
-        ('{"hpac_camera": 1, "hand_board": [0, 0, 0]}', "hand_board = .* must be 7 numbers"),
+        ('{"hpac_camera": 1, "hand_board": [0, 0, 0]}', r"hand_board must have shape \(..., 7\)"),
+        (
+            '{"hpac_camera": 1, "hand_board": [0, 0, 0, 0, 0, 0, 0]}',
+            "hand_board: the quaternion's length is 0, it must be 1",
+        ),
+        (
+            '{"hpac_camera": 1, "object_board": [0, 0, 0, 3, 0, 0, 0]}',
+            "object_board: the quaternion's length is 3, it must be 1",
+        ),
     ],
 )
 def test_a_malformed_camera_file_is_one_line(tmp_path, text, says):
