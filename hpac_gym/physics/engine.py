@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from hpac_gym.body.geometry import HPAC_GEOMETRY, Geometry
 from hpac_gym.body.objects import ObjectSpec, Support
-from hpac_gym.errors import HpacError
+from hpac_gym.errors import HpacError, ParameterError
 from hpac_gym.model import DIGITS, HPAC, Hand
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.settings import HandSettings
@@ -154,8 +154,8 @@ class SceneState:
     object_rotation: Array
     """Rotation from the object's axes to the hand's, shape (n, 3, 3)."""
     object_vel: Array
-    """Velocity of the object relative to the world, along the axes of the hand frame, shape (n, 3)
-    [m/s].
+    """Velocity of the object's centre, that of `object_pos`, relative to the world, along the axes
+    of the hand frame, shape (n, 3) [m/s].
     """
     object_spin: Array
     """Angular velocity of the object relative to the world, along the axes of the hand frame, shape
@@ -222,7 +222,7 @@ class Viewpoint:
     """Camera pose relative to its target, and image size.
 
     Raises:
-        ValueError: A size or distance that is not positive.
+        ParameterError: A size or distance that is not positive.
     """
 
     width: int = 480
@@ -238,7 +238,7 @@ class Viewpoint:
 
     def __post_init__(self) -> None:
         if not (self.width > 0 and self.height > 0 and self.distance > 0):
-            raise ValueError(
+            raise ParameterError(
                 f"picture of {self.width}×{self.height} px from {self.distance} m: all three must be positive"
             )
 

@@ -354,12 +354,15 @@ def test_a_setup_that_is_no_place_is_an_error():
 
 
 def test_what_mujoco_cannot_do_is_refused():
+    """A refused setup leaves the worlds beside it as they are."""
+    engine = MuJoCoEngine(2)
+    engine.reset([0, 1], [primitive()] * 2)
+    bad = primitive(hand_settings=replace(BODIES["twin"], tendon_friction=0.1))
     with pytest.raises(ParameterError, match=r"tendon_friction = 0.1 must be 0"):
-        MuJoCoEngine(1).reset(
-            [0], [primitive(hand_settings=replace(BODIES["twin"], tendon_friction=0.1))]
-        )
+        engine.reset([0, 1], [primitive("sphere", fixed=True), bad])
+    assert engine.single(0)[0].nq == engine.single(1)[0].nq
     for arguments in ({"num_worlds": 0}, {"num_worlds": 2, "threads": 0}):
-        with pytest.raises(ValueError, match="at least 1"):
+        with pytest.raises(ParameterError, match="at least 1"):
             MuJoCoEngine(**arguments)
 
 

@@ -40,8 +40,7 @@ class MuJoCoEngine(Engine):
         threads: number of threads; None is one per processor, but no more than worlds.
 
     Raises:
-        ValueError: Fewer than one world or thread.
-        ParameterError: Iterations for Bullet's iterative solver.
+        ParameterError: Fewer than one world or thread, or iterations for Bullet's iterative solver.
     """
 
     def __init__(
@@ -63,7 +62,9 @@ class MuJoCoEngine(Engine):
             )
             threads = max(min(num_worlds, available), 1)
         if not (num_worlds >= 1 and threads >= 1):
-            raise ValueError(f"{num_worlds} worlds on {threads} threads: both must be at least 1")
+            raise ParameterError(
+                f"{num_worlds} worlds on {threads} threads: both must be at least 1"
+            )
         self.num_worlds = num_worlds
         self.dt = settings.dt
         self.every_step = False
@@ -90,10 +91,11 @@ class MuJoCoEngine(Engine):
         Raises:
             ParameterError: A setup's hand has tendon friction.
         """
+        for setup in setups:
+            self.require(setup.hand_settings)
         jobs: dict[Group, list[int]] = {}
         moved = False
         for world, setup in sorted(zip(worlds, setups, strict=True), key=itemgetter(0)):
-            self.require(setup.hand_settings)
             layout = Layout.of(setup)
             if layout not in self._groups:
                 self._groups[layout] = Group(layout, *self._options)

@@ -37,8 +37,7 @@ class PyBulletEngine(Engine):
             picture shows boxes.
 
     Raises:
-        ValueError: Fewer than one world.
-        ParameterError: Torsional friction with the direct solver.
+        ParameterError: Fewer than one world, or torsional friction with the direct solver.
 
     Attributes:
         scenes: one PyBullet world each, for tests.
@@ -48,7 +47,7 @@ class PyBulletEngine(Engine):
         self, num_worlds: int = 1, settings: WorldSettings = WorldSettings(), visuals: bool = False
     ) -> None:
         if num_worlds < 1:
-            raise ValueError(f"{num_worlds} worlds: at least 1 is needed")
+            raise ParameterError(f"{num_worlds} worlds: at least 1 is needed")
         if settings.torsion and not settings.solver_iterations:
             raise ParameterError(
                 f"torsion = {settings.torsion} m needs Bullet's iterative solver: solver_iterations ≥ 1"
@@ -107,7 +106,7 @@ class PyBulletEngine(Engine):
         found.time[world] = scene.time
         found.joint_pos[world] = joint_pos
         found.joint_vel[world] = joint_vel
-        found.tension[world] = scene.hand.tension
+        found.tension[world] = np.maximum(scene.hand.tension, 0.0)  # a brake's is negative
         found.palm_offset[world] = offset
         if scene.object is None:
             return

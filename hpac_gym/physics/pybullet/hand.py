@@ -127,6 +127,14 @@ class SimHand:
                 lateralFriction=settings.contact_friction,
                 physicsClientId=self._client,
             )
+        for joint, lower, upper in zip(self._joints, hand.joint_min, hand.joint_max, strict=True):
+            pybullet.changeDynamics(
+                self.body,
+                joint,
+                jointLowerLimit=lower,
+                jointUpperLimit=upper,
+                physicsClientId=self._client,
+            )
         # Separate call: PyBullet silently ignores lateralFriction if maxJointVelocity is passed
         # with it.
         pybullet.changeDynamics(

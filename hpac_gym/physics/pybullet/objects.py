@@ -106,7 +106,7 @@ class SimObject:
         """Damp a named object's spin, once per physics step; PyBullet's own damping does not act on
         its base.
         """
-        _, spin = self.velocity()
+        _, spin = pybullet.getBaseVelocity(self.body, self._client)
         kept = 1.0 - SPIN_DECAY * dt
         pybullet.resetBaseVelocity(
             self.body,
@@ -134,8 +134,12 @@ class SimObject:
         return np.array(position), orientation
 
     def velocity(self) -> tuple[Sequence[float], Sequence[float]]:
-        """Velocity of the centre of mass [m/s] and spin [rad/s], along the world's axes."""
-        return pybullet.getBaseVelocity(self.body, self._client)
+        """Velocity of the centre [m/s] and spin [rad/s], along the world's axes."""
+        velocity, spin = pybullet.getBaseVelocity(self.body, self._client)
+        if self._to_frame is not None:  # PyBullet reports the velocity of the centre of mass
+            of_mass, _ = pybullet.getBasePositionAndOrientation(self.body, self._client)
+            velocity = velocity + np.cross(spin, self.pose()[0] - of_mass)
+        return velocity, spin
 
 
 def add_fixed_box(
