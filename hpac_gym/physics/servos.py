@@ -111,5 +111,5 @@ def _shares(elapsed: float, duration: float, dt: float, steps: int) -> tuple[Arr
     """Shares of a move that are complete at the ends of physics steps, shape (steps, 1, 1), and the
     time at the last one.
     """
-    times = np.cumsum([elapsed, *[dt] * steps])[1:, None, None]
-    return np.minimum(times / duration, 1.0), float(times[-1, 0, 0])
+    times = np.cumsum([elapsed, *[dt] * steps])[:, None, None]
+    return np.minimum(times[1:] / duration, 1.0), float(times[-1, 0, 0])

@@ -64,8 +64,7 @@ class HandSettings:
     """Settings of the simulated hand beyond the model's parameters.
 
     Raises:
-        ParameterError: Slack, strength or servo zero has the wrong number of values or leaves its
-            bounds.
+        ParameterError: A field has the wrong number of values or leaves its bounds.
     """
 
     servo: ServoSettings = ServoSettings()
@@ -79,20 +78,22 @@ class HandSettings:
     """
     servo_zero: tuple[float, ...] = setting((0.0,) * 6, bounds=(-pi, pi), size=6, unit="rad")
     """True angle of each servo's horn when its encoder reads 0 [rad]."""
-    joint_friction: float = 0.0
+    joint_friction: float = setting(0.0, bounds=(0.0, inf), unit="N·m")
     """Coulomb friction of every joint [N·m]."""
-    tendon_friction: float = 0.0
+    tendon_friction: float = setting(0.0, bounds=(0.0, 1.0))
     """Fraction of the tendons' load that every joint's guides hold back as friction, in addition to
     `joint_friction`.
     """
-    armature: tuple[float, float, float] = (3.2e-3, 1.2e-3, 3.6e-4)
+    armature: tuple[float, float, float] = setting(
+        (3.2e-3, 1.2e-3, 3.6e-4), bounds=(0.0, inf), size=3, unit="kg·m²"
+    )
     """Inertia added about each MCP, MP and CMC, about each PIP and IP, and about each DIP [kg·m²].
     """
-    hub_inertia: float = 0.0
+    hub_inertia: float = setting(0.0, bounds=(0.0, inf), unit="kg·m²")
     """Inertia of a servo's gears and rotor, reflected to its hub [kg·m²]; it moves with the driving
     tendon. See `BODIES`.
     """
-    contact_friction: float = 0.9
+    contact_friction: float = setting(0.9, bounds=(0.0, inf), above=True)
     """Coulomb coefficient of the hand's skin, to be multiplied by the object's."""
 
     def __post_init__(self) -> None:
@@ -132,10 +133,6 @@ class WorldSettings:
     """Gravitational acceleration along −z [m/s²]."""
     collisions: bool = True
     """False lets the hand pass through itself and everything else."""
-    constraint_softness: float = setting(1e-6, bounds=(0.0, inf))
-    """Constraint force mixing of PyBullet's direct solver: just enough to make redundant contacts
-    solvable.
-    """
     solver_iterations: int = setting(0, bounds=(0, inf))
     """Iterations of Bullet's iterative solver; 200 are enough. 0 selects its direct solver, which
     is faster, but holds an object that fingers squeeze out only within half of the friction

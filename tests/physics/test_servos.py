@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from hpac_gym.errors import ParameterError
+from hpac_gym.physics.engine import Viewpoint
 from hpac_gym.physics.servos import Servos
 from hpac_gym.physics.settings import Damping, HandSettings, ServoSettings, WorldSettings
 
@@ -96,6 +98,14 @@ def test_a_world_moves_to_the_bit_as_it_would_alone():
         np.testing.assert_array_equal(motion(SETTINGS, world), motion([settings], 0))
 
 
+def test_no_step_moves_nothing():
+    servos = Servos(1, DT)
+    servos.command(np.ones((1, 6)), 0.5)
+    angle, speed = servos.advance(0)
+    assert angle.shape == speed.shape == (1, 0, 6)
+    np.testing.assert_array_equal(servos.horn, 0.0)
+
+
 def test_servos_arrive_together_and_on_time():
     servos = Servos(1, DT)
     target = np.array([[0.2, 0.4, 0.6, 0.8, 1.0, 0.5]])
@@ -132,11 +142,17 @@ def test_servos_arrive_together_and_on_time():
             "strength = .* must be 5 values within",
         ),
         (HandSettings, "servo_zero", (0.0,) * 5, "servo_zero = .* rad must be 6 values within"),
+        (HandSettings, "joint_friction", float("nan"), "joint_friction = nan N·m must be a number"),
+        (HandSettings, "tendon_friction", -0.1, "tendon_friction = -0.1 must be a number within"),
+        (HandSettings, "armature", (1.0,), r"armature = \(1.0,\) kg·m² must be 3 values within"),
+        (HandSettings, "hub_inertia", -1.0, "hub_inertia = -1.0 kg·m²"),
+        (HandSettings, "contact_friction", 0.0, r"contact_friction = 0.0 must .* \]0, inf\["),
         (WorldSettings, "physics_hz", 0, "physics_hz = 0 Hz"),
         (WorldSettings, "torsion", -1.0, "torsion = -1.0 m"),
         (WorldSettings, "wrist_effort", 0.0, "wrist_effort = 0.0 N"),
+        (Viewpoint, "distance", 0.0, "picture of 480×360 px from 0.0 m: all three must be"),
     ],
 )
 def test_settings_name_the_bad_value(settings, name, value, message):
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises(ParameterError, match=message):
         settings(**{name: value})

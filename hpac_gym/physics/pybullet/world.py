@@ -36,6 +36,9 @@ def quiet_output() -> Iterator[None]:
 with quiet_output():  # PyBullet prints a greeting on import
     import pybullet
 
+_SOFTNESS = 1e-6
+"""Constraint force mixing of the direct solver: just enough to make redundant contacts solvable."""
+
 
 class World:
     """A physics client without a window, whose bodies have visual shapes if asked for. Close it when
@@ -69,7 +72,7 @@ class World:
                     if iterations
                     else {}
                 ),
-                globalCFM=self.settings.constraint_softness,
+                globalCFM=_SOFTNESS,
                 erp=self.settings.error_reduction,
                 contactERP=self.settings.error_reduction,
                 deterministicOverlappingPairs=1,
