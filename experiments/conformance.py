@@ -33,7 +33,7 @@ from hpac_gym.physics.engine import HAND_POSITION, Engine, SceneSetup
 from hpac_gym.physics.mechanics import mass_matrix
 from hpac_gym.physics.settings import BODIES, HandSettings, WorldSettings
 from hpac_gym.physics.simulation import ENGINES, SET_UPS, Simulation, make_engine
-from hpac_gym.physics.tendons import Tendons
+from hpac_gym.physics.tendons import Drive, Tendons, coupling_rows, spring_rows
 
 Factory = Callable[[int, WorldSettings], Engine]
 """Makes an engine of n worlds."""
@@ -204,19 +204,17 @@ def stiffest_mode(
     it well below 2.
     """
     inertia = mass_matrix(geometry, settings.armature, hand.synergy_max / 2, hand)
-    law = Tendons(hand, inertia, world.dt, settings.damping)
-    stiffness = [
-        law.stiffness_matrix(share * hand.synergy_max) for share in np.linspace(0.0, 1.0, 11)
-    ]
-    return float(
-        np.sqrt(
-            max(
-                np.linalg.eigvals(np.linalg.solve(inertia, matrix)).real.max()
-                for matrix in stiffness
-            )
-        )
-        * world.dt
-    )
+    rows, stiffness = map(np.concatenate, zip(coupling_rows(hand), spring_rows(hand), strict=True))
+    elastic = rows.T @ (stiffness[:, None] * rows)
+    elastic[_ROOTS[-1], _ROOTS[-1]] += hand.cmc_stiffness
+    drives = [Drive.of(digit) for digit in hand.digits.values()]
+    squares = []
+    for share in np.linspace(0.0, 1.0, 11):
+        matrix = elastic.copy()
+        for drive, angle in zip(drives, (share * hand.synergy_max).tolist(), strict=False):
+            matrix[drive.joint, drive.joint] += drive.stiffness * drive.chord_and_arm(angle)[1] ** 2
+        squares.append(np.linalg.eigvals(np.linalg.solve(inertia, matrix)).real.max())
+    return float(np.sqrt(max(squares)) * world.dt)
 
 
 def figures(

@@ -19,10 +19,11 @@ from hpac_gym.physics.settings import WorldSettings
 ENGINES = ("pybullet", "mujoco")
 SET_UPS = ("pybullet/twin", "mujoco/twin", "mujoco/light")
 """Engine and body of every supported combination."""
-_INSTEAD = {
+INSTEAD = {
     "pybullet": "PyBullet has wheels for CPython up to 3.11 on Linux alone; use engine='mujoco'",
     "mujoco": "pip install 'mujoco-core[rendering]==4.0.*'",
 }
+"""What to do without the package of an engine."""
 
 
 class Simulation:
@@ -122,7 +123,7 @@ def make_engine(
         raise ParameterError(f"engine {name!r} is not one of {', '.join(ENGINES)}")
     if not is_installed(name):
         raise ParameterError(
-            f"engine {name!r} needs a package that is not installed: {_INSTEAD[name]}"
+            f"engine {name!r} needs a package that is not installed: {INSTEAD[name]}"
         )
     if name == "pybullet":
         from hpac_gym.physics.pybullet.engine import PyBulletEngine as Chosen
@@ -139,7 +140,7 @@ def resting_object(spec: ObjectSpec) -> RestingObject:
         ParameterError: It has no stable pose, or MuJoCo is not installed.
     """
     if not is_installed("mujoco"):
-        raise ParameterError(f"the poses of an object need MuJoCo: {_INSTEAD['mujoco']}")
+        raise ParameterError(f"the poses of an object need MuJoCo: {INSTEAD['mujoco']}")
     from hpac_gym.physics.mujoco.resting import poses_of
 
     model = spec.solid_model

@@ -219,19 +219,6 @@ class Tendons:
             for *given, value in zip(hand.digits.values(), slacks, shares, damped, strict=True)
         )
 
-    def stiffness_matrix(self, synergy: Array) -> Array:
-        """Stiffness of the joints with all drives taut, −∂torque/∂angle, shape (15, 15) [N·m/rad].
-
-        Args:
-            synergy: angles of the driven joints, shape (6,) [rad]; the drives' moment arms depend
-                on them.
-        """
-        matrix = -self._linear[:, : len(JOINTS)]
-        for drive, angle in zip(self.drives, synergy[:_CMC].tolist(), strict=True):
-            matrix[drive.joint, drive.joint] += drive.stiffness * drive.chord_and_arm(angle)[1] ** 2
-        matrix[_CMC_JOINT, _CMC_JOINT] += self.hand.cmc_stiffness
-        return matrix
-
     def load(self, joint_pos: ArrayLike, tension: Sequence[float]) -> Array:
         """Load of tendons and spring on every joint's guides: the sum of their absolute torques.
 

@@ -3,9 +3,10 @@
 import mujoco
 
 from hpac_gym.errors import ParameterError
+from hpac_gym.physics.simulation import INSTEAD
 
 if not mujoco.__version__.startswith("4.0."):
     raise ParameterError(
         f"MuJoCo {mujoco.__version__} is installed, and engine='mujoco' needs 4.0, whose batches and integrator it was measured "
-        "with: pip install 'mujoco-core[rendering]~=4.0.1'"
+        f"with: {INSTEAD['mujoco']}"
     )
