@@ -126,6 +126,6 @@ def arm_of(text: str) -> Arm:
         return {"none": Arm, "enter": Person}[text]()
     kind, _, address = text.partition(":")
     host, _, port = address.rpartition(":")
-    if kind != "udp" or not host or not port.isdigit():
+    if kind != "udp" or not host or not port.isdecimal():
         raise DeployError(f"--arm '{text}' is not none, enter or udp:HOST:PORT")
     return Remote(host, int(port))

@@ -42,7 +42,7 @@ UPRIGHT = (-0.5, -0.5, -0.5, 0.5)
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """Where an object is seen, in the frame of the hand before the arm moves."""
+    """Where an object is seen, in the frame of the hand, which moves with the arm."""
 
     position: Array
     """Its centre, shape (3,) [m]."""

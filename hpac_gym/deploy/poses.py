@@ -97,12 +97,15 @@ class Recorded(Source):
         self._poses: list[Pose] = []
         for number, row in enumerate(rows, 2):
             where = f"poses {path}, row {number}"
+            given = tuple(name for name in COLUMNS if row.get(name))
+            if given not in (COLUMNS[:4], COLUMNS):
+                raise PoseError(f"{where}: the columns are {', '.join(COLUMNS)}")
             try:
-                numbers = [float(row[name]) for name in COLUMNS if row.get(name)]
+                numbers = [float(row[name]) for name in given]
             except ValueError as error:
                 raise PoseError(f"{where}: {error}") from None
-            if len(numbers) not in (4, 8):
-                raise PoseError(f"{where}: the columns are {', '.join(COLUMNS)}")
+            if not np.isfinite(numbers[0]):
+                raise PoseError(f"{where}: time_s = {numbers[0]} must be a finite number [s]")
             if self._times and numbers[0] <= self._times[-1]:
                 raise PoseError(f"{where}: {numbers[0]:g} s does not follow {self._times[-1]:g} s")
             self._times.append(numbers[0])
@@ -224,7 +227,7 @@ def source_of(text: str, seen: ObjectSpec | None = None) -> Source:
     if kind == "camera" and rest:
         camera, lens = lens_of(rest)
         return Tags(Device(camera, lens.size), lens, seen.half_extents[2] if seen else 0.0)
-    if kind == "udp" and rest.isdigit():
+    if kind == "udp" and rest.isdecimal():
         return Packets(int(rest))
     if text.endswith(".csv"):
         return Recorded(Path(text))

@@ -24,6 +24,10 @@ from hpac_gym.output import read_text
 APART_M = 0.01
 """Distance from which on the object is told to be elsewhere than simulated [m]."""
 
+_HEAD = {"policy", "env_id", "grasp", "object", "port"}
+_STEP = {"t", "phase", "position", "quaternion", "action", "sent", "hand"}
+"""What is read of a log's first line and of a step."""
+
 
 @dataclass(frozen=True, slots=True)
 class Course:
@@ -105,18 +109,25 @@ def read_log(path: Path) -> tuple[dict[str, Any], list[dict[str, Any]], str]:
         DeployError: It cannot be read, or is no log of a deployment.
     """
     lines = read_text(path, "log", DeployError).splitlines()
-    rows = []
+    rows: list[dict[str, Any]] = []
     for number, line in enumerate(lines, 1):
         try:
-            rows.append(json.loads(line))
+            row = json.loads(line)
         except ValueError:
-            if number < len(lines):
-                raise DeployError(f"log {path}, line {number}: not JSON") from None
-    version = rows[0].get("hpac_deploy") if rows and isinstance(rows[0], dict) else None
-    if version != LOG_VERSION:
+            if number == len(lines):
+                break
+            row = None
+        if not isinstance(row, dict):
+            raise DeployError(f"log {path}, line {number}: no JSON object")
+        rows.append(row)
+    if not rows or rows[0].get("hpac_deploy") != LOG_VERSION:
         raise DeployError(
             f"log {path}: line 1 must be that of `hpac deploy`, version {LOG_VERSION}"
         )
+    for number, row in enumerate(rows, 1):
+        needed = _HEAD if number == 1 else _STEP if "step" in row else set()
+        if missing := needed - row.keys():
+            raise DeployError(f"log {path}, line {number}: without {', '.join(sorted(missing))}")
     steps = [row for row in rows[1:] if "step" in row]
     if not steps:
         raise DeployError(f"log {path}: it has no steps")

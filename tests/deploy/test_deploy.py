@@ -136,6 +136,7 @@ def test_sources_are_told_by_their_text(tmp_path):
         ("0.05,0,0.1,0,0,0,2", "the quaternion's length is 2, it must be 1"),
         ("somewhere", "is not x,y,z in m, with or without a quaternion, nor udp:PORT, nor a .csv"),
         ("/none.csv", "poses /none.csv: No such file"),
+        ("udp:²", "'udp:²' is not x,y,z in m"),
     ],
 )
 def test_a_source_that_is_none_is_one_line(text, says):
@@ -150,13 +151,16 @@ def test_a_source_that_is_none_is_one_line(text, says):
         ("0,0.05,x,0.1\n", "row 2: could not convert string to float: 'x'"),
         ("0,0.05,0\n", "row 2: the columns are time_s, x_m"),
         ("0,0.05,0,0.1\n" * 2, "row 3: 0 s does not follow 0 s"),
+        ("0,0.05,0,,0.1\n", "row 2: the columns are time_s, x_m"),
+        ("nan,0.05,0,0.1\n", "row 2: time_s = nan must be a finite number"),
+        ("0,0.05,0,0.1\ninf,0.05,0,0.1\n", "row 3: time_s = inf must be a finite number"),
         ('0,"0.05,0,0.1\n' + "1,0.05,0,0.1\n" * 20_000, "field larger than field limit"),
     ],
-    ids=["none", "text", "column", "time", "quote"],
+    ids=["none", "text", "column", "time", "gap", "nan", "infinite", "quote"],
 )
 def test_a_file_that_has_no_poses_is_one_line(rows, says, tmp_path):
     path = tmp_path / "poses.csv"
-    path.write_text("time_s,x_m,y_m,z_m\n" + rows)
+    path.write_text("time_s,x_m,y_m,z_m,qx\n" + rows)
     with pytest.raises(PoseError, match=f"^poses {path}.* {says}"):
         source_of(f"{path}")
 
@@ -394,6 +398,7 @@ def test_the_page_of_a_deployment_tells_of_a_stop_that_nobody_confirmed(monkeypa
         ),
         ((*WORDS, "--port", "/dev/none"), "/dev/none"),
         ((*WORDS, "--port", "virtual", "--arm", "strong"), "--arm 'strong' is not none, enter or"),
+        ((*WORDS, "--port", "virtual", "--arm", "udp:a:²"), "--arm 'udp:a:²' is not none"),
         ((*WORDS, "--port", "virtual", "--log", "/proc/none/x"), "cannot write"),
     ],
 )
@@ -771,6 +776,9 @@ def test_an_object_that_moved_is_told(log, capsys):
     assert "apart from 0.4" in replayed(capsys, log)[1].out
 
 
+HEAD = '{"hpac_deploy": 1, "env_id": "", "grasp": null, "object": "", "policy": "", "port": ""}'
+
+
 def test_a_log_that_was_cut_short_is_read(log, capsys):
     text = log.read_text()
     log.write_text(text[: len(text) // 2])
@@ -783,9 +791,17 @@ def test_a_log_that_was_cut_short_is_read(log, capsys):
     ("text", "says"),
     [
         ("", "line 1 must be that of `hpac deploy`, version 1"),
-        ('{"hpac_deploy": 1}\n', "it has no steps"),
-        ('{"hpac_deploy": 1}\nx\n{}\n', "line 2: not JSON"),
+        ("{}\n", "line 1 must be that of `hpac deploy`, version 1"),
+        ('{"hpac_deploy": 1, "env_id": ""}\n', "line 1: without grasp, object, policy, port"),
+        (f"{HEAD}\n", "it has no steps"),
+        (f"{HEAD}\nx\n{{}}\n", "line 2: no JSON object"),
+        (f"{HEAD}\n5\n", "line 2: no JSON object"),
+        (
+            f'{HEAD}\n{{}}\n{{"step": 0, "t": 0, "phase": "close", "quaternion": [0, 0, 0, 1]}}\n',
+            "line 3: without action, hand, position, sent",
+        ),
     ],
+    ids=range(7),
 )
 def test_what_is_no_log_is_one_line(tmp_path, capsys, text, says):
     path = tmp_path / "log.jsonl"
