@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from hpac_gym.bridge.errors import ClippedWarning, FrameError
 from hpac_gym.bridge.protocol import ANGLE_UNIT, CONSTANTS, PULSE, VERSION
 from hpac_gym.model import HPAC, SERVOS, Hand
-from hpac_gym.model.checks import Array
+from hpac_gym.model.checks import Array, as_finite_array
 
 HASHED_PULSE = ("period_ns", "min_ns", "max_ns")
 HASHED_CONSTANTS = (
@@ -128,11 +128,13 @@ def pulses_from_servo(servo: ArrayLike, hand: Hand = HPAC) -> np.ndarray:
 
     Returns:
         Integers, shape (..., 6) [ns].
+
+    Raises:
+        ShapeError: Wrong shape, or something that is not a finite number.
     """
+    angles = as_finite_array(servo, len(SERVOS), "servo")
     centre = np.array([limits.centre_urad for limits in servo_limits(hand)]) * 1e-6
-    return np.rint(
-        PULSE["centre_ns"] + (np.asarray(servo, dtype=float) - centre) * PULSE["ns_per_rad"]
-    ).astype(np.int64)
+    return np.rint(PULSE["centre_ns"] + (angles - centre) * PULSE["ns_per_rad"]).astype(np.int64)
 
 
 def servo_from_pulses(pulses: ArrayLike, hand: Hand = HPAC) -> np.ndarray:

@@ -34,7 +34,7 @@ from hpac_gym.bridge.hands import (
 from hpac_gym.bridge.limits import (
     limits_hash,
 )
-from hpac_gym.errors import HpacError
+from hpac_gym.errors import HpacError, ShapeError
 from hpac_gym.model import (
     HPAC,
     SERVOS,
@@ -362,6 +362,11 @@ def test_the_wire_log_has_every_frame(virtual_hand, tmp_path):
 def test_servo_from_pulses_is_the_inverse_of_pulses_from_servo(share):
     servo = HPAC.servo_min + np.array(share) * (HPAC.servo_max - HPAC.servo_min)
     np.testing.assert_allclose(servo_from_pulses(pulses_from_servo(servo)), servo, atol=1e-6)
+
+
+def test_an_angle_that_is_no_number_has_no_pulses():
+    with pytest.raises(ShapeError, match=r"servo\[1\] = nan must be a finite number"):
+        pulses_from_servo([0.0, np.nan, 0.0, 0.0, 0.0, 0.0])
 
 
 @pytest.mark.parametrize(
