@@ -1,5 +1,6 @@
 """A device under test: requests sent with the oracle's codec, and checks of the answers."""
 
+import re
 import struct
 from dataclasses import dataclass
 
@@ -13,6 +14,14 @@ _NAMES = {
     getattr(wire, name): name
     for name in ("HELLO", "ARM", "MOVE", "HEARTBEAT", "ESTOP", "CLEAR", "STATUS")
 }
+_LEADS_TO = {
+    wire.ARM: State.armed,
+    wire.MOVE: State.armed,
+    wire.CLEAR: State.idle,
+    wire.ESTOP: State.fault,
+}
+_OF_ONE_SERVO = (Reason.angle, Reason.rate, Reason.hot)
+NO_SERVO = 255
 _ANSWERS = {wire.HELLO: wire.DEVICE_HELLO, wire.STATUS: wire.DEVICE_STATUS}
 SLACK = 0.15
 """Tolerance for the delays of device and line [s]."""
@@ -34,16 +43,20 @@ class Hello:
     trim_ns: tuple[int, ...]
     reversed_mask: int
     watchdog_ms: int
+    reset: int
     state: int
 
 
 @dataclass(frozen=True, slots=True)
 class Status:
+    uptime_ms: int
     state: int
     fault: int
     attached: int
     moving: int
     servo: tuple[int, ...]
+    heat_percent: tuple[int, ...]
+    rate_permille: int
     last_seq: int
     accepted: int
     refused: int
@@ -63,11 +76,18 @@ class Device:
     def __init__(self, transport: Transport, hand: Hand, patience: float) -> None:
         self.transport = transport
         self._reader = wire.Reader()
+        self._last_bytes = b""
+        self._heard: list[wire.Message] = []
         self._patience = patience
         self._seq = 0
         self.limits = servo_limits(hand)
         self.rest = [servo.rest_urad // 100 for servo in self.limits]
         """Pose at rest, shape (6,) [1e-4 rad]."""
+        rate = min(servo.rate_urad_s for servo in self.limits) * 1e-6
+        self.pace_ms = min(max(400, round(320 / rate)), CONSTANTS["move_max_ms"])
+        """Duration of a move by at most 0.25 rad, which the slowest servo can follow [ms]."""
+        self.relax_rate = rate * CONSTANTS["relax_permille"] * 1e-3
+        """Speed of the slowest servo in a relax [rad/s]."""
         self.hand = hand
         self.hash = 0
         self.tried = 0
@@ -83,11 +103,32 @@ class Device:
         if not kept:
             raise BrokenRule(what)
 
+    def _hear(self, seconds: float) -> None:
+        """Receive messages for at most `seconds`.
+
+        Raises:
+            BrokenRule: One of them does not have the form of the hand's frames.
+        """
+        data = self.transport.read(seconds)
+        self._heard += (heard := self._reader.push(data))
+        joint = self._last_bytes + data
+        self._last_bytes = joint[-2:]
+        if re.search(rb"[^\0]\0[^\0]", joint):
+            raise BrokenRule("one zero byte between two frames, must be two")
+        for message in heard:
+            if message.version != wire.VERSION or message.flags:
+                raise BrokenRule(
+                    f"{_told(message)} has version {message.version} and flags {message.flags:#x},"
+                    f" must be {wire.VERSION} and 0"
+                )
+
     def listen(self, seconds: float) -> None:
         """Receive messages for `seconds` and append them to `unasked`."""
         until = self.transport.now() + seconds
         while (left := until - self.transport.now()) > 0:
-            self.unasked += self._reader.push(self.transport.read(left))
+            self._hear(left)
+        self.unasked += self._heard
+        self._heard.clear()
 
     def live(self, seconds: float) -> None:
         """Wait as an active controller, sending heartbeats."""
@@ -112,21 +153,25 @@ class Device:
 
     def ask(self, kind: int, payload: bytes = b"", **how: int) -> wire.Message:
         """Send a frame, `how` as in `send`, and return the first answer with its sequence number,
-        or `SILENCE`.
+        or `SILENCE`. What comes before it is appended to `unasked`, what comes after it is heard
+        next.
+
+        Raises:
+            BrokenRule: The answer is an ACK with a field that does not fit.
         """
         seq = self.send(kind, payload, **how)
         until = self.transport.now() + self._patience
         while (left := until - self.transport.now()) > 0:
-            heard = self._reader.push(self.transport.read(left))
-            answers = [
-                message
-                for message in heard
-                if message.seq == seq and message.kind in (wire.ACK, _ANSWERS.get(kind))
-            ]
-            self.unasked += [message for message in heard if message not in answers]
-            if answers:
-                self.unasked += answers[1:]
-                return answers[0]
+            self._hear(left)
+            while self._heard:
+                message = self._heard.pop(0)
+                if message.seq == seq and message.kind == _ANSWERS.get(kind):
+                    return message
+                if message.seq == seq and message.kind == wire.ACK:
+                    if len(message.payload) == 4:
+                        _judge_ack(kind, message.payload)
+                    return message
+                self.unasked.append(message)
         return SILENCE
 
     def refusal(self, kind: int, payload: bytes = b"", **how: int) -> tuple[int, int] | None:
@@ -155,9 +200,8 @@ class Device:
             answer.kind == wire.DEVICE_HELLO and len(answer.payload) == 30,
             f"HELLO answered by {_told(answer)}",
         )
-        numbers = struct.unpack("<I3xI6hBH3xB", answer.payload)
-        session, limits, *trims, reversed_mask, watchdog_ms, state = numbers
-        return Hello(session, limits, tuple(trims), reversed_mask, watchdog_ms, state)
+        session, limits, *numbers = struct.unpack("<I3xI6hBHB2xB", answer.payload)
+        return Hello(session, limits, tuple(numbers[:6]), *numbers[6:])
 
     def status(self, period_ms: int = 0) -> Status:
         """Request STATUS and return the answer."""
@@ -167,9 +211,10 @@ class Device:
             answer.kind == wire.DEVICE_STATUS and len(answer.payload) == 50,
             f"STATUS answered by {_told(answer)}",
         )
-        numbers = struct.unpack("<4x4B6h10xHI5H2xH", answer.payload)
-        state, fault, attached, moving = numbers[:4]
-        return Status(state, fault, attached, moving, numbers[4:10], *numbers[10:])
+        numbers = struct.unpack("<I4B6h6BH2xHI5H2xH", answer.payload)
+        uptime_ms, state, fault, attached, moving = numbers[:5]
+        pose, heat = numbers[5:11], numbers[11:17]
+        return Status(uptime_ms, state, fault, attached, moving, pose, heat, *numbers[17:])
 
     def must_be(
         self, state: State, when: str, fault: Fault | None = None, powered: bool | None = None
@@ -204,11 +249,18 @@ class Device:
         )
 
     def move(
-        self, target: int | list[int], duration_ms: int = 400, session: int = SESSION
+        self, target: int | list[int], duration_ms: int | None = None, session: int = SESSION
     ) -> bytes:
-        """Payload of a MOVE to `target` above each servo's rest [1e-4 rad]."""
+        """Payload of a MOVE to `target` above each servo's rest [1e-4 rad], in `pace_ms` without a
+        duration.
+        """
         steps = [rest + target for rest in self.rest] if isinstance(target, int) else target
+        duration_ms = self.pace_ms if duration_ms is None else duration_ms
         return struct.pack("<IH6h", session, duration_ms, *steps)
+
+    def arrive(self) -> None:
+        """Wait as an active controller until a move of `pace_ms` has ended."""
+        self.live(self.pace_ms * 1e-3 + SLACK)
 
     def idle(self) -> None:
         """Start a rule with a new session, in IDLE."""
@@ -234,7 +286,7 @@ class Device:
     def moved(self, target: int = 2000) -> None:
         """Move all servos to `target` [1e-4 rad] from rest and check the pose."""
         self.must(Reason.ok, wire.MOVE, self.move(target))
-        self.live(0.4 + SLACK)
+        self.arrive()
         status = self.status()
         wanted = tuple(rest + target for rest in self.rest)
         off = max(abs(is_at - to) for is_at, to in zip(status.servo, wanted, strict=True))
@@ -244,16 +296,30 @@ class Device:
         )
 
     def must_have_told(self, fault: Fault) -> None:
-        """Require that exactly one FAULT message, of this fault, is among `unasked`, and clear
-        them.
+        """Require that exactly one FAULT message, of this fault, of no servo and of number 0, is
+        among `unasked`, and clear them.
         """
-        codes = [
-            message.payload[0]
+        told = [
+            (message.payload[0], message.payload[1], message.seq)
             for message in self.unasked
             if message.kind == wire.FAULT and len(message.payload) == 6
         ]
         self.unasked.clear()
-        self.expect(codes == [fault], f"FAULT messages {codes}, must be one of {fault.name}")
+        self.expect(
+            told == [(fault, NO_SERVO, 0)],
+            f"FAULT messages {told}, must be one of {fault.name} ({fault}, {NO_SERVO}, 0)",
+        )
+
+
+def _judge_ack(kind: int, payload: bytes) -> None:
+    acked, reason, servo, state = payload
+    servo_fits = servo == NO_SERVO or reason in _OF_ONE_SERVO
+    state_fits = reason != Reason.ok or state == _LEADS_TO.get(kind, state)
+    if acked != kind or not servo_fits or not state_fits:
+        raise BrokenRule(
+            f"{_NAMES.get(kind, kind)} answered by ACK {name_of(Reason, reason)} of message"
+            f" {acked}, servo {servo}, {name_of(State, state)}"
+        )
 
 
 def _told(message: wire.Message) -> str:

@@ -57,15 +57,28 @@ def _starting(d: Device) -> None:
     d.expect(
         len(seen) == len(SERVOS), f"servos started in {len(seen)} steps, must be {len(SERVOS)}"
     )
-    d.must(Reason.ok, wire.MOVE, d.move(0, 400), "once the hand is at rest")
+    d.must(Reason.ok, wire.MOVE, d.move(0), "once the hand is at rest")
 
 
 def _moves(d: Device) -> None:
     d.armed()
     d.moved(2000)
     d.moved(500)
-    d.must(Reason.ok, wire.MOVE, d.move(2500, 800), "with minimum jerk", flags=wire.MINIMUM_JERK)
-    d.live(0.4)
+    quarter = max(0.5, d.pace_ms / 2000)  # of a move long enough for delays not to matter [s]
+    d.must(
+        Reason.ok,
+        wire.MOVE,
+        d.move(2500, round(4000 * quarter)),
+        "with minimum jerk",
+        flags=wire.MINIMUM_JERK,
+    )
+    d.live(quarter)
+    gone = [at - rest - 500 for at, rest in zip(d.status().servo, d.rest, strict=True)]
+    d.expect(
+        max(gone) < 440,  # a linear move is 500 ahead, this one 207
+        f"after a quarter of minimum jerk {max(gone)} of 2000 [1e-4 rad], must be 207",
+    )
+    d.live(quarter)
     status = d.status()
     d.expect(status.moving == 1, "in the middle of a move it says that it does not move")
     half = [abs(at - rest - 1500) for at, rest in zip(status.servo, d.rest, strict=True)]
@@ -73,7 +86,7 @@ def _moves(d: Device) -> None:
         max(half) < 600,
         f"half-way through minimum jerk {status.servo}, {max(half)} from the middle [1e-4 rad]",
     )
-    d.live(0.4 + SLACK)
+    d.live(2 * quarter + SLACK)
     d.moved(0)
 
 
@@ -93,14 +106,22 @@ def _move_bounds(d: Device) -> None:
     for duration_ms in (0, CONSTANTS["move_min_ms"] - 1, CONSTANTS["move_max_ms"] + 1, 0xFFFF):
         d.must(Reason.duration, wire.MOVE, d.move(0, duration_ms), f"of {duration_ms} ms")
     for i, servo in enumerate(d.limits):
-        way = servo.rate_urad_s // 100 // 10  # what 0.1 s allows
-        target = [rest + 3 * way // 2 if j == i else rest for j, rest in enumerate(d.rest)]
-        got = d.refusal(wire.MOVE, d.move(target, 100))
-        d.expect(
-            got == (Reason.rate, i),
-            f"{SERVOS[i]} at 1.5 times its rate limit: {got}, must be rate at servo {i}",
-        )
-        d.live(0.01)
+        room = max(servo.max_urad - servo.rest_urad, servo.min_urad - servo.rest_urad, key=abs)
+        rate = servo.rate_urad_s * 1e-6
+        way = min(0.15 * rate, abs(room) * 1e-6)  # [rad]
+        target = [
+            rest + round(way * 1e4) * (1 if room > 0 else -1) if j == i else rest
+            for j, rest in enumerate(d.rest)
+        ]
+        for flags, peak, times in ((0, 1.0, 1.5), (wire.MINIMUM_JERK, 1.875, 1.2)):
+            duration_ms = max(int(1e3 * peak * way / (times * rate)), CONSTANTS["move_min_ms"])
+            got = d.refusal(wire.MOVE, d.move(target, duration_ms), flags=flags)
+            speed = 1e3 * peak * way / duration_ms
+            d.expect(
+                got == (Reason.rate, i) or speed < 1.15 * rate,
+                f"{SERVOS[i]} at {speed:g} rad/s, flags {flags}: {got}, must be rate at servo {i}",
+            )
+            d.live(0.01)
     status = d.status()
     d.expect(
         not status.moving and list(status.servo) == d.rest,
@@ -113,7 +134,7 @@ def _repeats(d: Device) -> None:
     seq = d.send(wire.HEARTBEAT, OURS) + 100
     first = d.move(1000)
     d.must(Reason.ok, wire.MOVE, first, "newer", seq=seq)
-    d.live(0.4 + SLACK)
+    d.arrive()
     d.must(Reason.ok, wire.MOVE, first, "the same frame again", seq=seq)
     d.must(Reason.stale, wire.MOVE, d.move(1500), "another MOVE of the same number", seq=seq)
     d.must(Reason.stale, wire.MOVE, first, "an older number", seq=seq - 1)
@@ -181,6 +202,22 @@ def _watchdog_detach(d: Device) -> None:
 
 def _watchdog_relax(d: Device) -> None:
     before, expires = _silence(d, Action.relax, 100)
+    if _relax_seconds(d) > SLACK + 0.2:  # long enough to be watched
+        _watch_relax(d, before, expires)
+    d.listen(max(1.5, _relax_seconds(d)))
+    status = d.status()
+    d.expect(
+        not status.attached and list(status.servo) == d.rest,
+        f"after relax {status.servo}, servos {status.attached:06b}",
+    )
+
+
+def _relax_seconds(d: Device) -> float:
+    """How long a relax from where the host falls silent takes [s]."""
+    return SILENT_AT * 1e-4 / d.relax_rate
+
+
+def _watch_relax(d: Device, before: Status, expires: float) -> None:
     d.expect(
         before.attached == 0x3F,
         f"relax has taken the pulses of servos {before.attached ^ 0x3F:06b} at once",
@@ -196,15 +233,8 @@ def _watchdog_relax(d: Device) -> None:
         f"relax takes servo {gone.index(min(gone))} by {min(gone)} towards rest in 0.1 s [1e-4 rad]",
     )
     way = max(abs(rest + SILENT_AT - at) for at, rest in zip(status.servo, d.rest, strict=True))
-    rate = max(servo.rate_urad_s // 100 for servo in d.limits) * CONSTANTS["relax_permille"] / 1000
-    most = rate * (d.transport.now() - expires + EARLY)
+    most = 1e4 * d.relax_rate * (d.transport.now() - expires + EARLY)
     d.expect(way <= most, f"relax has gone {way} [1e-4 rad], at most {most:.0f} at its rate")
-    d.listen(1.5)
-    status = d.status()
-    d.expect(
-        not status.attached and list(status.servo) == d.rest,
-        f"after relax {status.servo}, servos {status.attached:06b}",
-    )
 
 
 def _watchdog_hold(d: Device) -> None:
@@ -215,8 +245,27 @@ def _watchdog_hold(d: Device) -> None:
         status.attached == 0x3F and status.servo == before.servo,
         f"hold: {status.servo}, servos {status.attached:06b}",
     )
-    d.listen(1.0 + 1.5)
-    d.must_be(State.fault, "1.5 s after hold must have become relax", powered=False)
+    relax_s = max(1.5, _relax_seconds(d) + SLACK)
+    d.listen(1.0 + relax_s)
+    d.must_be(State.fault, f"{relax_s:g} s after hold must have become relax", powered=False)
+
+
+def _hello_in_a_hold(d: Device) -> None:
+    before, _ = _silence(d, Action.hold, 100)
+    d.hello(SESSION + 1)
+    status = d.must_be(State.fault, "after HELLO in a hold", Fault.watchdog, powered=True)
+    d.expect(
+        status.attached == before.attached,
+        f"HELLO leaves servos {status.attached:06b} of {before.attached:06b} with pulses",
+    )
+    d.must(Reason.session, wire.CLEAR, OURS, "of the session before, in a hold")
+
+
+def _arm_again(d: Device) -> None:
+    d.armed(Action.hold, CONSTANTS["watchdog_max_ms"])
+    d.must(Reason.ok, wire.ARM, d.arm(Action.detach, 100), "while armed")
+    d.listen(0.1 + SLACK)
+    d.must_be(State.fault, "after 100 ms of silence", Fault.watchdog, powered=False)
 
 
 def _watchdog_food(d: Device) -> None:
@@ -255,8 +304,8 @@ def _estop(d: Device) -> None:
         d.unasked.clear()
         text = f"with flags {flags}, {len(payload)} bytes, version {version}"
         d.must(Reason.ok, wire.ESTOP, payload, text, flags=flags, version=version)
-        d.must_be(State.fault, "after ESTOP", Fault.estop, powered=False)
         d.must_have_told(Fault.estop)
+        d.must_be(State.fault, "after ESTOP", Fault.estop, powered=False)
     d.idle()
     d.must(Reason.ok, wire.ESTOP, b"", "in IDLE")
     d.must_be(State.fault, "after ESTOP in IDLE", Fault.estop)
@@ -326,6 +375,17 @@ def _counters(d: Device) -> None:
         status.refused - before.refused == 5,
         f"refused counts {status.refused - before.refused}, must be 5",
     )
+    d.listen(0.2)
+    later = d.status()
+    passed_ms = (later.uptime_ms - status.uptime_ms) % 2**32
+    d.expect(
+        180 <= passed_ms <= 200 + 1e3 * SLACK, f"uptime_ms counts {passed_ms} ms, must be some 200"
+    )
+    derated = 1000 - 37.5 * (min(max(later.heat_percent), 100) - 80)
+    d.expect(
+        abs(later.rate_permille - min(derated, 1000)) <= 40,
+        f"rate_permille {later.rate_permille} at a heat of {max(later.heat_percent)} %",
+    )
 
 
 MOTION_RULES: dict[str, Callable[[Device], None]] = {
@@ -339,6 +399,8 @@ MOTION_RULES: dict[str, Callable[[Device], None]] = {
     "silence: detach": _watchdog_detach,
     "silence: relax": _watchdog_relax,
     "silence: hold, then relax": _watchdog_hold,
+    "HELLO ends neither a fault nor its hold": _hello_in_a_hold,
+    "ARM while armed replaces watchdog and safe action": _arm_again,
     "messages that feed the watchdog, and others": _watchdog_food,
     "ESTOP is accepted from any sender, with any contents": _estop,
     "a fault is latched until CLEAR": _latched,
