@@ -45,9 +45,9 @@ class Damping:
     joint: float = setting(5e-3, bounds=(0.0, inf), unit="N·m·s/rad")
     """Viscous friction of every joint [N·m·s/rad]."""
     overrun: float = setting(1.0, bounds=(0.0, inf))
-    """Fraction of its damping that a slack drive keeps against flexion faster than its servo's. The
-    twin's armature represents servos, which stop at their target: without this a finger would
-    overshoot with inertia that is not its own."""
+    """Fraction of its damping that a slack drive keeps against flexion faster than its servo's; in
+    MuJoCo a taut one has it in addition. The twin's armature represents servos, which stop at their
+    target: without this a finger would overshoot with inertia that is not its own."""
 
     def __post_init__(self) -> None:
         check_bounds(self, "damping")

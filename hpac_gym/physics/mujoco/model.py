@@ -138,7 +138,7 @@ def build(
 
 def _add_brakes(actuators: Xml.Element) -> None:
     """Add the damping that a slack drive keeps (`Damping.overrun`): it opposes flexion that is
-    faster than the servo's.
+    faster than the servo's, of a taut drive too, in addition to its own damping.
     """
     for drive in actuators.findall("general")[: len(DIGITS)]:
         Xml.SubElement(
