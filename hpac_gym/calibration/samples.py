@@ -20,9 +20,10 @@ from hpac_gym.calibration.processing import (
     without_drift,
 )
 from hpac_gym.calibration.record import EXTENDING, FLEXING, REST, Sweep
-from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, SERVOS, Hand, elastic_joints_from_servo
+from hpac_gym.model import HPAC, JOINT_INDEX, SERVOS, Hand
 from hpac_gym.model.checks import Array
 from hpac_gym.model.settled import EXTENSION, FLEXION
+from hpac_gym.model.transmission import unchecked_synergy_from_servo
 
 STOP_SLOPE = 0.3
 """A joint that turns by less than this share of its usual rate until the end of the sweep rests at
@@ -195,8 +196,9 @@ def _without_stops(samples: DigitSamples, servo: int, base: Hand) -> DigitSample
     if len(angles) < 5:
         return samples
     command = np.zeros((len(angles), len(SERVOS)))
-    command[:, servo] = np.clip(angles, base.servo_min[servo], base.servo_max[servo])
-    design = elastic_joints_from_servo(command, base)
+    command[:, servo] = angles
+    turns = np.diff(unchecked_synergy_from_servo(command, base)[:, servo])
+    turns[turns <= 0] = np.nan  # past the guides, where the design says nothing
     at_stop = {}
     starts = {}
     limit = np.inf
@@ -206,7 +208,7 @@ def _without_stops(samples: DigitSamples, servo: int, base: Hand) -> DigitSample
         course = np.array(
             [np.nanmean(part) for part in np.split(samples.joint_pos[rows, i], first[1:])]
         )
-        rate = np.diff(course) / np.diff(design[:, JOINTS.index(name)])
+        rate = np.diff(course) / turns
         usual = np.nanmedian(rate)
         turning = np.flatnonzero(~(rate < STOP_SLOPE * usual))
         start = turning[-1] + 1 if turning.size else 0

@@ -249,6 +249,20 @@ def test_a_stop_is_found_left_out_and_written_into_the_workspace(nominal_record)
     assert not identify(nominal_record).fits["index"].samples.stops
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("zero", [-1.0, -0.3, 0.3])
+def test_a_stop_is_found_wherever_the_servo_has_its_zero(zero):
+    """Beyond the design's range of the servo, and past the guides, where the design says nothing."""
+    metal = (Metal(), Metal(stop=(9.0, 9.0, 1.1)), Metal(), Metal(), Metal())
+    stopped = metal_sweeps([Built(HPAC, metal)], 3, servos=("index_mcp",))[0]
+    joints = HPAC.digits["index"].joints
+    there = digit_samples(stopped, 1, joints)
+    turned = replace(stopped, servo=stopped.servo + zero * np.eye(6)[1])
+    here = digit_samples(turned, 1, joints)
+    assert here.stops == there.stops == {"index_dip": pytest.approx(1.1, abs=2e-3)}
+    assert here.at_stops == there.at_stops >= 3
+
+
 def test_no_point_at_which_a_joint_rests_at_a_stop_is_fitted():
     """Wherever the DIP meets its stop within a step of 2.4°, at most a tenth of the last step
     before it is lost.
