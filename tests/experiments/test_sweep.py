@@ -26,6 +26,8 @@ from hpac_gym.calibration.processing import points, processed
 from hpac_gym.calibration.record import Sweep, read_sweep, write_sweep
 from hpac_gym.errors import ParameterError
 from hpac_gym.model import HPAC, JOINTS, scaled_hand
+from hpac_gym.model.calibration import Calibration, Friction
+from hpac_gym.model.settled import settled_joints_from_servo
 from tests.options import called
 
 REFERENCE = Reference.of()
@@ -114,6 +116,16 @@ def test_what_remains_has_a_sign_the_models_and_not_the_noises(errors, evaluatio
     """
     found = residuals(points(processed(evaluation)))
     assert all(found[name].compensated.mean() < 0 for name in EVALUATED)
+
+
+def test_a_calibrated_hand_is_judged_by_all_that_its_file_has(evaluation):
+    """Zeros, friction and stretch, by which `hpac calibrate` judges it and commands invert it."""
+    hand = replace(HPAC, calibration=Calibration((0.05,) * 6, (Friction(1e-3, 0.03),) * 5))
+    ideal = points(evaluation)
+    ideal = replace(ideal, joint_pos=settled_joints_from_servo(ideal.servo, hand))
+    for item in residuals(ideal, hand).values():
+        assert np.abs(item.compensated).max() < 1e-12
+        assert np.abs(item.uncompensated).max() > np.deg2rad(1)
 
 
 def test_mp_and_mcp_stand_beside_the_nine_as_in_the_papers_figure(errors):
