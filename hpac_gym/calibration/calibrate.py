@@ -20,7 +20,7 @@ from hpac_gym.calibration.samples import HELD_OUT_EVERY
 from hpac_gym.figures import require, save
 from hpac_gym.model import HPAC, Hand, hand_to_toml, load_hand
 from hpac_gym.model.files import hand_from_toml
-from hpac_gym.output import writable_file, writable_folder, write_text
+from hpac_gym.output import OutputError, writable_file, writable_folder, write_text
 
 OUT = Path("runs/calibrate/hand.toml")
 _IDENTIFIED = (
@@ -80,9 +80,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Check the record, fit, report the hand file's error at the held-out points, and write it."""
     require()
+    for path in (arguments.record, arguments.check, arguments.base):
+        if path and path.resolve() == arguments.out.resolve():
+            raise OutputError(f"--out {arguments.out} would replace a file that is read")
     base = load_hand(arguments.base) if arguments.base else HPAC
     record = read_sweep(arguments.record)
-    remarks = judged(record, base)
+    remarks = judged(record, base, f"sweep {arguments.record}")
     second = None
     if arguments.check:
         second = read_sweep(arguments.check)
@@ -90,12 +93,22 @@ def run(arguments: argparse.Namespace) -> int:
             raise RecordError(
                 f"--check {arguments.check} is the same sweep; it must be a second one"
             )
-        remarks += [f"{arguments.check.name}: {remark}" for remark in judged(second, base)]
+        remarks += [
+            f"{arguments.check.name}: {remark}"
+            for remark in judged(second, base, f"sweep {arguments.check}")
+        ]
+        unseen = [name for name in record.measured() if name not in second.measured()]
+        if unseen:
+            raise RecordError(
+                f"--check {arguments.check} does not measure {', '.join(unseen)}: its bound is one of all joints of the file"
+            )
     writable_file(arguments.out)
+    folder = report_folder(arguments.out)
+    if folder.exists():
+        writable_folder(folder)
     identified = identify(
         record, base, arguments.spread, arguments.radii_known, True, shown=True, draws=DRAWS
     )
-    folder = writable_folder(report_folder(arguments.out))
     remarks += doubts(identified, base)
     text = hand_to_toml(named(identified, base, arguments.record.name))
     written = hand_from_toml(text, str(arguments.out))

@@ -49,12 +49,13 @@ SHOWN = 3
 _HINT = "are labels exchanged?"
 
 
-def judged(sweep: Sweep, base: Hand) -> list[str]:
+def judged(sweep: Sweep, base: Hand, name: str = "the record") -> list[str]:
     """Reject a record that cannot belong to a hand of this design; returns remarks on ambiguities.
 
     Args:
         sweep: the unfiltered record.
         base: the hand's design.
+        name: name of the record in errors.
 
     Raises:
         RecordError: The record has no points; or a segment has no rest or is labelled with another
@@ -64,7 +65,9 @@ def judged(sweep: Sweep, base: Hand) -> list[str]:
     faults = []
     remarks = []
     if not ((sweep.phase == FLEXING) & (sweep.point >= 0)).any():
-        raise RecordError("column point: no row of a flexion is at a sampling point (all are −1)")
+        raise RecordError(
+            f"{name} is refused: column point: no row of a flexion is at a sampling point (all are −1)"
+        )
     for rows in sweep.segments():
         segment = sweep[rows]
         flexed = np.flatnonzero((segment.phase == FLEXING) & (segment.point >= 0))
@@ -117,7 +120,7 @@ def judged(sweep: Sweep, base: Hand) -> list[str]:
     if faults:
         told = list(dict.fromkeys(faults))
         more = f"; and {len(told) - SHOWN} more" if len(told) > SHOWN else ""
-        raise RecordError(f"the record is refused: {'; '.join(told[:SHOWN])}{more}")
+        raise RecordError(f"{name} is refused: {'; '.join(told[:SHOWN])}{more}")
     return list(dict.fromkeys(remarks))
 
 

@@ -72,6 +72,12 @@ class Sweep:
         starts = np.flatnonzero(np.diff(keys, prepend=keys[:1] - 1))
         return [np.arange(a, b) for a, b in zip(starts, [*starts[1:], len(self)], strict=True)]
 
+    def measured(self) -> list[str]:
+        """Joints that are measured at a sampling point of their own servo's sweep."""
+        seen = ~np.isnan(self.joint_pos) & (HPAC.servo_of_joint == self.swept[:, None])
+        held = (self.phase != REST) & (self.point >= 0)
+        return [JOINTS[joint] for joint in np.flatnonzero(seen[held].any(axis=0))]
+
     def with_joint_pos(self, joint_pos: Array) -> Sweep:
         """The same record with other joint angles."""
         return replace(self, joint_pos=joint_pos)

@@ -119,7 +119,7 @@ def run(arguments: argparse.Namespace) -> int:
         arguments,
         caption=f"{path.name} against {hand.name}",
         result={"hand": hand.name, "record": str(path)},
-        remarks=judged(record, hand),
+        remarks=judged(record, hand, f"sweep {path}"),
     )
     return 0
 

@@ -49,10 +49,25 @@ def test_a_place_that_cannot_be_written_to_is_told_before_the_fit(
     nominal_record, calibrate, tmp_path, monkeypatch
 ):
     monkeypatch.delattr("hpac_gym.calibration.calibrate.identify")
+    folder = tmp_path / "hand-report"
+    folder.write_text("a file")
+    status, said = calibrate(nominal_record)
+    assert (status, said.out) == (2, "")
+    assert f"error: cannot write to folder '{folder}': File exists" in said.err
     (tmp_path / "hand.toml").mkdir()
     status, said = calibrate(nominal_record)
     assert (status, said.out) == (2, "")
     assert f"error: cannot write '{tmp_path / 'hand.toml'}': it is a folder" in said.err
+
+
+@pytest.mark.parametrize("read", ["record", "--check", "--base"])
+def test_no_file_that_is_read_is_replaced(nominal_record, calibrate, tmp_path, read):
+    path = tmp_path / ("sweep.csv" if read == "record" else "read")
+    words = () if read == "record" else (read, str(path))
+    (tmp_path / "link").symlink_to(tmp_path)
+    out = tmp_path / "link" / path.name
+    status, said = calibrate(nominal_record, *words, "--out", str(out))
+    assert (status, said.err) == (2, f"error: --out {out} would replace a file that is read\n")
 
 
 def test_a_report_that_cannot_be_written_leaves_the_hand_file_as_it_was(
@@ -72,6 +87,16 @@ def test_a_sweep_is_no_check_on_itself(record, calibrate, tmp_path):
     assert status == 2
     assert "second.csv is the same sweep; it must be a second one" in said.err
     assert not (tmp_path / "hand.toml").exists()
+
+
+def test_a_check_measures_every_joint_that_the_sweep_does(record, calibrate, tmp_path, monkeypatch):
+    """What the file does to the other joints would be in no bound."""
+    monkeypatch.delattr("hpac_gym.calibration.calibrate.identify")
+    second = record[record.swept != SERVOS.index("thumb_mp")]
+    write_sweep(tmp_path / "second.csv", with_last_rest(second, 0.01))
+    status, said = calibrate(record, "--check", str(tmp_path / "second.csv"))
+    assert (status, said.out) == (2, "")
+    assert "second.csv does not measure thumb_ip, thumb_mp: its bound is" in said.err
 
 
 def test_a_second_sweep_is_what_the_first_line_is_about(record, hidden, calibrate, tmp_path):

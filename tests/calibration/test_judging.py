@@ -111,19 +111,23 @@ def test_a_record_that_cannot_be_of_this_hand_is_refused_with_its_reason(record,
 
 def test_both_commands_refuse_alike_and_write_nothing(record, tmp_path):
     """Garbage, which the filter of `hpac sweep` would refuse with another reason."""
+    good = tmp_path / "good.csv"
+    write_sweep(good, record[record.swept == 1])
     path = tmp_path / "sweep.csv"
     write_sweep(path, garbage(record[record.swept == 1], 0.3))
     messages = []
     runs = (
         (calibrate, (path, "--out", tmp_path / "hand.toml")),
+        (calibrate, (good, "--check", path, "--out", tmp_path / "hand.toml")),
         (sweep, ("--record", path, "--out", tmp_path / "out")),
     )
     for command, words in runs:
         with pytest.raises(RecordError) as caught:
             command.run(parsed(command, *words))
         messages.append(str(caught.value))
-    assert messages[0] == messages[1]
-    assert [item.name for item in tmp_path.iterdir()] == ["sweep.csv"]
+    assert set(messages) == {messages[0]}
+    assert messages[0].startswith(f"sweep {path} is refused: sweep of index_mcp: ")
+    assert {item.name for item in tmp_path.iterdir()} == {"good.csv", "sweep.csv"}
 
 
 def test_good_records_with_a_few_faults_are_taken(record):
