@@ -37,7 +37,7 @@ def release(exchange: Exchange, greeted: bool, timeout: float) -> tuple[str, Bas
     port_gone = False
     late = Late("asking the hand to stop: no answer yet")
     attempts = _ATTEMPTS if greeted else _ATTEMPTS_UNGREETED
-    if greeted and known.fault == Fault.estop.name:  # no pulses, and CLEAR would leave the fault
+    if greeted and known.fault == Fault.estop.name:  # no pulses, unless somebody has cleared it
         attempts = (("status",), *_ATTEMPTS)
     while known.may_have_power and attempts:
         for messages in attempts:
@@ -45,6 +45,8 @@ def release(exchange: Exchange, greeted: bool, timeout: float) -> tuple[str, Bas
             try:
                 for name in messages:
                     if known.may_have_power:
+                        if name == "clear" and known.fault == Fault.estop.name:
+                            name = "estop"  # CLEAR would leave the fault
                         answer = exchange.request(name, timeout=timeout, attempts=1)
                         if answer.name == "ack" and answer.number("reason") == Reason.session:
                             return TAKEN_OVER, interrupt

@@ -119,6 +119,32 @@ def test_a_stop_whose_sender_reads_the_answers_is_told_as_a_stop(virtual_hand):
             link.heartbeat()
 
 
+@pytest.mark.parametrize("stolen", [0, 1, 2, 3])
+def test_a_stopped_program_leaves_the_fault_even_if_the_stops_sender_reads_its_answers(
+    virtual_hand, stolen
+):
+    class Robbed(Overheard):
+        stolen = 0
+
+        def read(self, timeout):
+            data = super().read(timeout)
+            if data and self.stolen:
+                self.stolen -= 1
+                return b""
+            return data
+
+    robbed = Robbed(virtual_hand)
+    with pytest.raises(FaultError, match="estop"), HandLink(lambda: robbed) as link:
+        link.arm()
+        VirtualTransport.write(robbed, encode(Frame("estop", 7, 0, {})))
+        try:
+            link.sleep(1.0)
+        finally:
+            robbed.stolen = stolen
+    with HandLink(virtual_hand.connect) as link:
+        assert link.status().fault == "estop"
+
+
 def test_signs_of_life_are_timed_from_their_sending_not_from_their_answers(virtual_hand):
     """A slow answer must not make the next one late: the hand counts from what it heard."""
 
