@@ -19,7 +19,7 @@ from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.vec_env import VecEnvWrapper
 from torch import nn
 
-from agents import POLICY, target_of
+from agents import POLICY, RunError, target_of
 from agents.gentle_rule import CLOSING, MOVES, PER_RADIAN, RULE, STEPS, UNTOLD
 from agents.networks import MEAN_CLIP, OBSERVATION_CLIP, actor_of, mean_and_scale, scaled
 from hpac_gym.command import command_parser, run, whole_number
@@ -49,6 +49,7 @@ class Hands(VecEnvWrapper):
         seen: number of entries that the actor sees.
         recent: what every episode has seen and done.
         mean, scale: of what the actor sees, shape (seen,).
+        ended, steps: episodes and control steps so far, over all hands.
     """
 
     def __init__(self, num_envs: int, obs: str, told: bool = True, body: str = "light") -> None:
@@ -59,6 +60,7 @@ class Hands(VecEnvWrapper):
         self.seen = MOVES.shown(self.recent).shape[1]
         self.mean = np.zeros(self.seen)
         self.scale = np.ones(self.seen)
+        self.ended = self.steps = 0
         size = self.seen + self._truth().shape[1]
         bound = OBSERVATION_CLIP
         super().__init__(
@@ -77,6 +79,8 @@ class Hands(VecEnvWrapper):
 
     def step_wait(self) -> Any:
         seen, reward, done, infos = self.venv.step_wait()
+        self.ended += int(done.sum())
+        self.steps += len(done)
         self.recent = MOVES.see(self.recent, seen).replaced(done, MOVES.begin(seen))
         observed = self._observed()
         for world in np.flatnonzero(done):  # no episode is truncated, so that nobody reads it
@@ -239,9 +243,15 @@ def train(
     told: bool = True,
     body: str = "light",
 ) -> None:
-    """Learn, and write the policy file into a folder."""
+    """Learn, and write the policy file into a folder.
+
+    Raises:
+        RunError: It is there already.
+    """
     torch.set_num_threads(1)
     torch.manual_seed(seed)
+    if (out / POLICY).exists():
+        raise RunError(f"'{out / POLICY}' is there already: choose another folder, or remove it")
     writable_folder(out)
     env = Hands(WORLDS, obs, told, body)
     model = learner(env, seed)
@@ -257,8 +267,8 @@ def train(
         "settings": settings | {"hidden": [HIDDEN, HIDDEN]},
         "obs": obs,
         "increments": asdict(MOVES),
-        "episodes": WORLDS * rounds,
-        "control_steps": WORLDS * STEPS * rounds + steps,
+        "episodes": env.ended,
+        "control_steps": env.steps,
         "versions": versions("stable-baselines3"),
     }
     parts = [*model.policy.mlp_extractor.actor, model.policy.action_net]

@@ -140,8 +140,6 @@ class Learner:
             return
         if self.updates == 0:
             unseen = [TYPE] if recipe.env_id == GRASP_TYPE else []
-            if recipe.critic_obs == "deploy":
-                unseen.append(slice(self._deployed, None))
             self.networks.fit_scales(
                 trials.seen[: trials.count], trials.end_state[: trials.count], unseen
             )

@@ -1,8 +1,8 @@
 """Train an algorithm of Stable-Baselines3, sb3-contrib or SBX for comparison: ``python -m
 agents.race ppo --out runs/NAME``.
 
-Every contender runs on a MuJoCo batch, observes *deploy*, gets the dense reward and the same
-processor time. The folder gets ``policy.hpac``, updated every minute, and ``progress.csv``. A run
+Every contender runs on a batch and gets the same processor time; without options on MuJoCo, with
+the dense reward and *deploy*. The folder gets ``policy.hpac``, updated every minute, and ``progress.csv``. A run
 cannot be resumed. ``--set`` also takes the algorithm's arguments, such as ``gamma=0.9`` or
 ``policy_kwargs.net_arch=64,64``, ``num_envs`` and ``action_repeat``."""
 
@@ -34,7 +34,6 @@ from hpac_gym.output import writable_folder
 from hpac_gym.policies import Actor, PolicyFile, write_policy
 from hpac_gym.registration import GRASP, full_id
 
-ENGINE = "mujoco"
 SAVE_EVERY_S = 60.0
 # bound of PPO's actions, since its normal distribution is unbounded; the environment gets their
 # tanh
@@ -104,7 +103,7 @@ def learner_of(
     if not isinstance(own["policy_kwargs"], Mapping):
         raise RecipeError(f"{name}: policy_kwargs is {own['policy_kwargs']!r}, must have names")
     num_envs, repeat, rate = map(own.pop, ("num_envs", "action_repeat", "learning_rate"))
-    worlds = HandVecEnv(full_id(env_id), num_envs, **{"engine": ENGINE} | with_object(options))
+    worlds = HandVecEnv(full_id(env_id), num_envs, **with_object(options))
     if not isinstance(worlds.observation_space, Box) or worlds.observation_space.shape[1:]:
         worlds.close()
         raise RecipeError(f"env is '{env_id}': its observation is not a vector")
@@ -194,7 +193,7 @@ def race(
     algorithm_of(name)
     if any((out / file).exists() for file in (POLICY, CURVE)):
         raise RunError(f"folder '{out}' already holds a run: name another one")
-    target = target_of(env_id, **{"engine": ENGINE} | options)
+    target = target_of(env_id, **options)
     writable_folder(out)
     torch.set_num_threads(1)
     progress = Progress(
@@ -211,7 +210,7 @@ def race(
             "algorithm": name,
             "action_repeat": settings["action_repeat"],
             **({"obs": options["obs"]} if "obs" in options else {}),
-            "settings": {**settings, "engine": ENGINE},
+            "settings": {**settings, "options": dict(options)},
             "episodes": progress.done,
             "decisions": model.num_timesteps,
             "processor_seconds": round(progress.seconds, 1),

@@ -75,7 +75,6 @@ class Recipe:
     dropout: float = setting(0.1, "dropout rate of the critics", 0, 0.9)
     hidden: tuple[int, ...] = setting((256, 256, 256), "widths of the layers", 1, 4_096)
     critics: int = setting(2, "number of critics", 1, 64)
-    critic_obs: str = choice("privileged", "observation of the critics", ("privileged", "deploy"))
     pessimism: float = setting(
         0.5,
         "standard deviations over the critics that are subtracted from their mean prediction",
@@ -254,6 +253,10 @@ def recipe_of(args: Namespace) -> Recipe:
     given = given_settings(args)
     env_id = (args.env or recipe.env_id).removeprefix("hpac_gym:")
     options = env_options(args, env_id)
+    if fixed := [name for name in ("obs", "reward", "render_mode") if name in options]:
+        raise RecipeError(
+            f"{fixed[0]} is {options[fixed[0]]!r}: a training of closures has its own"
+        )
     chosen = {name: options.pop(name) for name in ("engine", "body") if name in options}
     if chosen and "set_ups" in given:
         raise RecipeError("--engine and --body name one set-up: give them or --set-ups")

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 RUN = "run.json"
 _PREFIX = "checkpoint-"
 _UNFINISHED = ".unfinished"
+_BEFORE = ".before"
+"""Of a complete checkpoint while one of as many trials takes its place."""
 
 
 def save_checkpoint(folder: Path, learner: Learner, state: dict[str, Any]) -> Path:
@@ -57,7 +59,8 @@ def save_checkpoint(folder: Path, learner: Learner, state: dict[str, Any]) -> Pa
         (unfinished / "state.json").write_text(json.dumps(state, indent=2) + "\n")
         for path in (*unfinished.iterdir(), unfinished):
             _to_disk(path)
-        shutil.rmtree(final, ignore_errors=True)
+        if final.exists():
+            os.rename(final, final.with_suffix(_BEFORE))
         os.rename(unfinished, final)
         _to_disk(folder)
     except (OSError, ValueError) as error:
@@ -75,7 +78,9 @@ def save_checkpoint(folder: Path, learner: Learner, state: dict[str, Any]) -> Pa
 def latest_checkpoint(folder: Path) -> Path | None:
     """The latest complete checkpoint in a folder; None without one."""
     complete = [
-        path for path in folder.glob(f"{_PREFIX}*") if path.name.removeprefix(_PREFIX).isdecimal()
+        path
+        for path in folder.glob(f"{_PREFIX}*")
+        if path.suffix in ("", _BEFORE) and path.stem.removeprefix(_PREFIX).isdecimal()
     ]
     return max(complete, default=None)
 
@@ -83,7 +88,7 @@ def latest_checkpoint(folder: Path) -> Path | None:
 def saved_trials(folder: Path) -> int:
     """Number of trials in the latest complete checkpoint in a folder; 0 without one."""
     path = latest_checkpoint(folder)
-    return int(path.name.removeprefix(_PREFIX)) if path else 0
+    return int(path.stem.removeprefix(_PREFIX)) if path else 0
 
 
 def recipe_in(folder: Path) -> Recipe:

@@ -1,7 +1,7 @@
 """PPO of Stable-Baselines3 on a batch of hands; the model and its statistics are a policy.
 
 python sb3_ppo.py --out runs/sb3 --total-steps 2000000
-hpac evaluate --policy runs/sb3/model.zip --engine mujoco     # finds vecnormalize.pkl beside it
+hpac evaluate --policy runs/sb3/model.zip     # finds vecnormalize.pkl beside it
 hpac show --policy runs/sb3/model.zip"""
 
 import argparse
@@ -20,7 +20,7 @@ parser.add_argument("--num-envs", type=int, default=64)
 parser.add_argument("--seed", type=int, default=0)
 args = parser.parse_args()
 
-envs = VecNormalize(HandVecEnv(args.env, num_envs=args.num_envs, engine="mujoco"), gamma=0.97)
+envs = VecNormalize(HandVecEnv(args.env, num_envs=args.num_envs), gamma=0.97)
 settings = {"gamma": 0.97, "n_steps": 16, "batch_size": 512, "device": "cpu", "seed": args.seed}
 model = PPO("MlpPolicy", envs, verbose=1, **settings)
 model.learn(args.total_steps)

@@ -10,6 +10,7 @@ import os
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from operator import eq
 from typing import Any
 
 import gymnasium
@@ -99,15 +100,13 @@ def compare(first: Sequence[Trial], second: Sequence[Trial]) -> dict[str, Any]:
     """Difference of success, second minus first, over the same episodes, with a 95 % interval, and
     the share that agrees.
     """
-    pairs = list(zip(first, second, strict=True))
-    gained = sum(b.success and not a.success for a, b in pairs)
-    lost = sum(a.success and not b.success for a, b in pairs)
-    difference, low, high = paired_difference(gained, lost, len(pairs))
+    before, after = ([trial.success for trial in part] for part in (first, second))
+    difference, low, high = paired_difference(after, before)
     return {
-        "episodes": len(pairs),
+        "episodes": len(before),
         "difference": difference,
         "interval_95": [low, high],
-        "agree": 1 - (gained + lost) / len(pairs),
+        "agree": sum(map(eq, before, after)) / len(before),
     }
 
 

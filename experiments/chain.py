@@ -35,7 +35,7 @@ from hpac_gym.model import HPAC, SERVOS, Hand, joints_from_synergy, load_hand
 from hpac_gym.model.calibration import Calibration
 from hpac_gym.model.maps import CommandMap
 from hpac_gym.model.settled import settled_joints_from_servo
-from hpac_gym.output import markdown, writable_file, write_text
+from hpac_gym.output import OutputError, markdown, read_text, writable_file, write_text
 from hpac_gym.physics.stand import HAND
 from hpac_gym.registration import GRASP
 
@@ -180,8 +180,10 @@ def summary(rows: Sequence[tuple]) -> list[dict]:
                     mine = [(key, value) for key, value in known.items() if key[0] == model]
                     if not mine:
                         continue
-                    more = [held - known[MODELS[0], *key[1:]][0] for key, (held, _) in mine]
-                    gain, *interval = paired_difference(more.count(1), more.count(-1), len(more))
+                    gain, *interval = paired_difference(
+                        (held for _, (held, _) in mine),
+                        (known[MODELS[0], *key[1:]][0] for key, _ in mine),
+                    )
                     cells.append(
                         {
                             "engine": engine,
@@ -254,7 +256,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--draw", type=Path, metavar="PNG", help="only draw the cells of --out")
     arguments = parser.parse_args(argv)
     if arguments.draw:
-        draw(json.loads(arguments.out.read_text())["cells"], arguments.draw)
+        draw(json.loads(read_text(arguments.out, "cells", OutputError))["cells"], arguments.draw)
         return 0
     writable_file(arguments.out)
     wanted = [(kind, seed) for kind in POPULATIONS for seed in range(arguments.hands)]

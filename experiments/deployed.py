@@ -11,6 +11,7 @@ import os
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
+from operator import eq
 from pathlib import Path
 from typing import Any
 
@@ -135,20 +136,19 @@ def summary(by_link: Mapping[str, Sequence[tuple]]) -> list[dict[str, Any]]:
     cells = []
     for name, rows in by_link.items():
         count = len(rows)
-        alone, held, sent, refused, lost = (sum(row[i] for row in rows) for i in range(5))
-        more = [row[1] - row[0] for row in rows]
-        gain, *interval = paired_difference(more.count(1), more.count(-1), count)
+        alone, held, sent, refused, lost = zip(*rows, strict=True)
+        gain, *interval = paired_difference(held, alone)
         cells.append(
             {
                 "link": name,
-                "environment": success_counts(alone, count),
-                "wire": success_counts(held, count),
+                "environment": success_counts(sum(alone), count),
+                "wire": success_counts(sum(held), count),
                 "difference": gain,
                 "difference_95": interval,
-                "same_outcome": more.count(0) / count,
-                "moves": sent,
-                "refused": refused,
-                "lost": lost,
+                "same_outcome": sum(map(eq, alone, held)) / count,
+                "moves": sum(sent),
+                "refused": sum(refused),
+                "lost": sum(lost),
             }
         )
     return cells

@@ -175,7 +175,7 @@ def main(argv: list[str] | None = None) -> int:
             without[CASE] = controls()
         rows.append(row_of(seed))
         told = {
-            "command": f"python -m experiments.forecast --hands {arguments.hands}",
+            "command": f"python -m experiments.forecast --hands {len(rows)}",
             "cells": summary(rows, without),
             "without_a_sweep": without,
             "rows": rows,

@@ -170,8 +170,7 @@ def main(argv: list[str] | None = None) -> int:
         held[row] += found
     cells = []
     for row, mine in held.items():
-        more = [a - b for a, b in zip(mine, held[NOMINAL], strict=True)]
-        gain, *interval = paired_difference(more.count(1), more.count(-1), len(mine))
+        gain, *interval = paired_difference(mine, held[NOMINAL])
         counts = success_counts(sum(mine), len(mine))
         cells.append({"row": row, **counts, "difference": gain, "difference_95": interval})
     command = f"python -m experiments.gap --policy {arguments.policy} --episodes {blocks * BATCH}"

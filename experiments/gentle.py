@@ -7,6 +7,7 @@ servos tell. ``judge`` runs policy files, such as those of ``agents.gentle``. Th
 were chosen on training seeds; every result is of held-out ones."""
 
 import json
+import shlex
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -19,13 +20,13 @@ import numpy as np
 import hpac_gym  # noqa: F401  registers the environments
 from agents.gentle import Hands
 from agents.gentle_rule import CLOSING, MOVES, PER_RADIAN, RULE, STEPS, UNTOLD
-from hpac_gym.command import command_parser, run
+from hpac_gym.command import command_parser, run, whole_number
 from hpac_gym.evaluation.episodes import run_episodes, worlds
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import success_counts
 from hpac_gym.model import synergy_from_action
 from hpac_gym.model.checks import Array
-from hpac_gym.output import writable_folder, write_text
+from hpac_gym.output import OutputError, writable_folder, write_text
 from hpac_gym.physics.settings import BODIES
 from hpac_gym.physics.simulation import SET_UPS
 from hpac_gym.policies.closure import Closures
@@ -260,19 +261,27 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("policies", nargs="*", help="of `judge`: gentle, or policy files")
     parser.add_argument("--set-up", choices=SET_UPS, default="mujoco/light", help="engine and body")
     parser.add_argument("--untold", action="store_true", help="the crush limit is not told")
-    parser.add_argument("--episodes", type=int, default=384, help="how many")
-    parser.add_argument("--seed-start", type=int, default=HELD_OUT_SEED, help="of `judge`")
-    parser.add_argument("--closures", type=int, default=64, help="number of random closures")
+    parser.add_argument("--episodes", type=whole_number(1), default=384, help="how many")
+    parser.add_argument(
+        "--seed-start", type=whole_number(0), default=HELD_OUT_SEED, help="of `judge`"
+    )
+    parser.add_argument(
+        "--closures", type=whole_number(1), default=64, help="number of random closures"
+    )
     parser.add_argument("--out", type=Path, default=Path("runs/gentle"), help="folder of results")
     arguments = parser.parse_args(argv)
+    if (arguments.what == "judge") != bool(arguments.policies):
+        parser.error("judge, and it alone, takes policies")
     out = writable_folder(arguments.out)
-    words = " ".join(sys.argv[1:] if argv is None else argv)
+    words = shlex.join(sys.argv[1:] if argv is None else argv)
     command = f"python -m experiments.gentle {words}"
     engine, body = arguments.set_up.split("/")
     told = not arguments.untold
     where = f"{engine}_{body}{'' if told else '_untold'}"
     if arguments.what == "join":
         parts = {file.stem: json.loads(file.read_text()) for file in sorted(out.glob("*.json"))}
+        if not parts:
+            raise OutputError(f"nothing to join: no results in '{out}'")
         _write(RESULTS, command, parts)
     elif arguments.what == "rows":
         _write(out / f"rows_{where}.json", command, rows(arguments.episodes, body, told))

@@ -7,7 +7,7 @@ metal also has effects that the model omits: compliant servos, guides with a rad
 that loses tension at every joint, stops. It has no dynamics and no camera.
 
 `hpac_gym.model.settled` solves the same equilibrium in closed form for the effects that the model
-contains; `tests/study/test_quasistatic.py` compares the two."""
+contains; `tests/experiments/test_quasistatic.py` compares the two."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

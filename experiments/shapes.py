@@ -200,13 +200,9 @@ def _cell(
     name: str, held: Mapping[str, list[bool]], script: Mapping[str, list[bool]]
 ) -> dict[str, Any]:
     """A policy's successes, by shape and in all, and its difference from the script."""
-    pairs = [
-        one - other
-        for shape in SHAPES
-        for one, other in zip(held[shape], script[shape], strict=True)
-    ]
-    gain, *interval = paired_difference(pairs.count(1), pairs.count(-1), len(pairs))
-    counts = success_counts(sum(map(sum, held.values())), len(pairs))
+    mine, others = ([won for shape in SHAPES for won in part[shape]] for part in (held, script))
+    gain, *interval = paired_difference(mine, others)
+    counts = success_counts(sum(mine), len(mine))
     return {
         "policy": name,
         **counts,

@@ -19,6 +19,7 @@ from hpac_gym.evaluation.episodes import run_episodes, single
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import rate_text
 from hpac_gym.evaluation.workers import worker_pool
+from hpac_gym.output import write_text
 
 ENV_ID = "HPAC-Grasp-v0"
 TARGET = Path(blind.__file__).parent / "data" / FILE
@@ -69,7 +70,7 @@ def search_all(work, seeds: range) -> None:
     for result in work(search, ((seed,) for seed in missing)):
         known[result.seed] = result
         ordered = [known[seed].row() for seed in sorted(known)]
-        TARGET.write_text("\n".join([",".join(COLUMNS), *ordered, ""]), encoding="utf-8")
+        write_text(TARGET, "\n".join([",".join(COLUMNS), *ordered, ""]))
     tries = [known[seed] for seed in seeds]
     for within in (1, 4, 16, 64, TRIES):
         print(

@@ -4,13 +4,13 @@ An evolution strategy on both engines, on seeds that no evaluation uses; the env
 is. ``--write`` writes the result to the grasp's data; ``hpac grasps --policy scripted`` evaluates
 it on other seeds."""
 
-import argparse
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from hpac_gym.command import command_parser, run, whole_number
 from hpac_gym.evaluation.episodes import run_episodes, worlds
 from hpac_gym.model import HPAC, SERVOS
 from hpac_gym.model.checks import Array
@@ -68,23 +68,22 @@ def search(name: str, generations: int, population: int, seed: int) -> Array:
     return mean.round(2)
 
 
-def main() -> None:
+def main(argv: list[str] | None = None) -> int:
     """Search grasps, and print or write the results."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = command_parser("tools.closure_search", __doc__)
     parser.add_argument("names", choices=list(GRASPS), nargs="+", metavar="NAME")
-    parser.add_argument("--generations", type=int, default=16)
-    parser.add_argument("--population", type=int, default=32)
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--generations", type=whole_number(1), default=16)
+    parser.add_argument("--population", type=whole_number(4), default=32)
+    parser.add_argument("--seed", type=whole_number(0), default=0)
     parser.add_argument("--write", action="store_true", help="write the results to the data")
-    options = parser.parse_args()
+    options = parser.parse_args(argv)
     for name in options.names:
         closed = search(name, options.generations, options.population, options.seed).tolist()
         print(f"{name}: closed = {closed}", flush=True)
         if options.write:
             replace_values(GRASPS_FILE, name, {"closed": closed})
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(run(main))

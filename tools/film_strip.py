@@ -16,10 +16,10 @@ import gymnasium
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from hpac_gym.command import Parser, run, whole_number
+from hpac_gym.command import Parser, run, seconds, whole_number
 from hpac_gym.envs.episodes import open_episodes
-from hpac_gym.envs.pictures import VIEW_TARGET
 from hpac_gym.errors import ParameterError
+from hpac_gym.evaluation.environment import make_env
 from hpac_gym.evaluation.episodes import run_episodes, single
 from hpac_gym.output import replacing
 from hpac_gym.physics.engine import HAND_POSITION
@@ -28,6 +28,7 @@ from hpac_gym.policies import Policy
 from hpac_gym.policies.baselines import constant_posture
 from hpac_gym.policies.loading import load_policy, needed_options
 from hpac_gym.tasks.posture import TOLERANCE
+from hpac_gym.tasks.senses import VIEW_TARGET
 
 FRAME = (300, 225)
 """Size of a picture on the strip, without its caption above [px]."""
@@ -215,7 +216,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--at",
         nargs="+",
-        type=float,
+        type=seconds,
         required=True,
         metavar="SECONDS",
         help="times of the pictures",
@@ -233,7 +234,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _draw(options: argparse.Namespace) -> int:
     given = {"engine": options.engine} | needed_options(options.policy)
-    with gymnasium.make(options.id, render_mode="rgb_array", **given) as env:
+    with make_env(options.id, render_mode="rgb_array", **given) as env:
         policy = load_policy(options.policy, env)
         rows = [film_strip(env, policy, seed, options.at) for seed in options.seeds]
     if not any(row.pictures for row in rows):

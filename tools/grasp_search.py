@@ -15,8 +15,12 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from hpac_gym.command import command_parser, run, whole_number
+from hpac_gym.envs.randomization import PRESETS
 from hpac_gym.model import FINGERS, HPAC, JOINT_INDEX, joints_from_synergy
 from hpac_gym.model.checks import Array
+from hpac_gym.output import write_text
+from hpac_gym.physics.simulation import SET_UPS
 from hpac_gym.tasks.grasp_type_data import GRASP_TYPES, GraspType
 from tools.type_trials import TypeTrial, run_types
 
@@ -151,36 +155,38 @@ def replace_values(path: Path, table: str, values: dict[str, list[float]]) -> No
         body, count = re.subn(rf"(?m)^{key} = \[[^\]]*\]", f"{key} = [{text}]", body)
         if count != 1:
             raise ValueError(f"{path}: [{table}] has {key} {count} times")
-    path.write_text(before + head + body + "".join(after), encoding="utf-8")
+    write_text(path, before + head + body + "".join(after))
 
 
-def main() -> None:
+def main(argv: list[str] | None = None) -> int:
     """Search one type, and print or write the result."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = command_parser("tools.grasp_search", __doc__)
     parser.add_argument("name", choices=list(GRASP_TYPES), metavar="NAME")
-    parser.add_argument("--generations", type=int, default=12)
-    parser.add_argument("--population", type=int, default=24)
+    parser.add_argument("--generations", type=whole_number(1), default=12)
+    parser.add_argument("--population", type=whole_number(ELITE), default=24)
     parser.add_argument(
         "--engines",
         nargs="+",
+        choices=[f"{set_up}/{ranges}" for set_up in SET_UPS for ranges in PRESETS],
+        metavar="ENGINE/BODY/RANDOMIZE",
         default=["mujoco/twin/nominal", "mujoco/light/hand", "pybullet/twin/hand"],
-        help="ENGINE/BODY/RANDOMIZE, with one episode per candidate each (default: %(default)s)",
+        help="with one episode per candidate each",
     )
     parser.add_argument(
         "--fixed",
         nargs="*",
         type=int,
+        choices=range(len(SPREAD)),
+        metavar="INDEX",
         default=[],
         help="indices of a candidate's numbers that stay fixed",
     )
     parser.add_argument(
         "--spread", type=float, default=1.0, help="factor of the initial standard deviations"
     )
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--seed", type=whole_number(0), default=0)
     parser.add_argument("--write", action="store_true", help="write the result to the data")
-    options = parser.parse_args()
+    options = parser.parse_args(argv)
     grasp_type = search(options)
     start = grasp_type.start
     print(
@@ -189,7 +195,8 @@ def main() -> None:
     print(f"hand_rpy_deg = {np.degrees(start.hand_rpy).round(1).tolist()}")
     if options.write:
         write(grasp_type)
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(run(main))

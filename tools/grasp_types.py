@@ -5,9 +5,9 @@ Every type is run on the same held-out seeds, which no search has used, in every
 the nominal hand and on randomized ones. The file contains a fingerprint of the data: a test fails
 if the data has changed since."""
 
-import argparse
 import hashlib
 import json
+import sys
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
@@ -18,11 +18,12 @@ import numpy as np
 from PIL import Image
 
 from experiments.agree import VARIATIONS
+from hpac_gym.command import command_parser, run, whole_number
 from hpac_gym.evaluation.episodes import run_episodes, single
 from hpac_gym.evaluation.pictures import VIEW, VIEW_CENTRE, Portrait, contact_sheet
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.model import POSTURES
-from hpac_gym.output import markdown, replacing
+from hpac_gym.output import markdown, replacing, write_text
 from hpac_gym.physics.engine import PARTS
 from hpac_gym.physics.settings import WorldSettings
 from hpac_gym.physics.simulation import SET_UPS
@@ -181,27 +182,25 @@ def picture(path: Path) -> None:
         contact_sheet(portraits).save(temporary, format="PNG", optimize=True)
 
 
-def main() -> None:
+def main(argv: list[str] | None = None) -> int:
     """Evaluate types and write the file."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = command_parser("tools.grasp_types", __doc__)
     parser.add_argument(
         "--types", nargs="+", default=list(GRASP_TYPES), choices=list(GRASP_TYPES), metavar="NAME"
     )
     parser.add_argument(
         "-n",
         "--episodes",
-        type=int,
+        type=whole_number(1),
         default=20,
-        help="per type on the nominal hand (default: %(default)s)",
+        help="per type on the nominal hand",
     )
     parser.add_argument(
         "-m",
         "--randomized",
-        type=int,
+        type=whole_number(1),
         default=10,
-        help="per type with randomization (default: %(default)s)",
+        help="per type with randomization",
     )
     parser.add_argument("--hands", nargs="+", default=list(HANDS), choices=HANDS)
     parser.add_argument(
@@ -212,14 +211,12 @@ def main() -> None:
         choices=[*SET_UPS, *(f"{set_up}/{name}" for set_up in SET_UPS for name in VARIATIONS)],
         help="engines and bodies; ENGINE/BODY/VARIATION, physics as of experiments.agree, is printed alone",
     )
-    parser.add_argument(
-        "--out", type=Path, default=RESULTS, help="file to update (default: %(default)s)"
-    )
+    parser.add_argument("--out", type=Path, default=RESULTS, help="file to update")
     parser.add_argument("--picture", type=Path, metavar="PNG", help="draw all types instead")
-    options = parser.parse_args()
+    options = parser.parse_args(argv)
     if options.picture:
         picture(options.picture)
-        return
+        return 0
     outcomes = json.loads(options.out.read_text(encoding="utf-8")) if options.out.exists() else {}
     cells = [
         (name, set_up, hand)
@@ -243,8 +240,9 @@ def main() -> None:
             continue
         entry.setdefault(hand, {})[set_up] = row
         ordered = {name: outcomes[name] for name in GRASP_TYPES if name in outcomes}
-        options.out.write_text(text_of(ordered), encoding="utf-8")
+        write_text(options.out, text_of(ordered))
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(run(main))

@@ -6,7 +6,6 @@ both engines of `hpac_gym`. Writes
 ``hpac_gym/body/data/resting_poses.toml``, whose last digits depend on the processor, so no test
 compares it; tests check that the poses are stable in both engines."""
 
-import argparse
 import sys
 import tomllib
 from pathlib import Path
@@ -17,6 +16,7 @@ import numpy as np
 from hpac_gym.body.object_models import ObjectModel
 from hpac_gym.body.object_sets import RestingObject, RestingPose, resting, split_models
 from hpac_gym.body.objects import ObjectSpec, Support
+from hpac_gym.command import command_parser, run
 from hpac_gym.output import write_text
 from hpac_gym.physics.engine import HAND_POSITION, Engine, SceneSetup, matrix_from_quaternion
 from hpac_gym.physics.mujoco.resting import Found, poses_of
@@ -106,9 +106,7 @@ def without_restless(
 
 def main(argv: list[str] | None = None) -> int:
     """Find the poses and write the file."""
-    parser = argparse.ArgumentParser(
-        prog="python -m tools.resting_poses", description=__doc__.splitlines()[0]
-    )
+    parser = command_parser("tools.resting_poses", __doc__)
     parser.add_argument(
         "names", nargs="*", help="names or name prefixes of the objects to update (default: all)"
     )
@@ -121,6 +119,8 @@ def main(argv: list[str] | None = None) -> int:
     )
     entries = tomllib.loads(FILE.read_text(encoding="utf-8")) if FILE.exists() else {}
     wanted = [entry for entry in objects if entry[0].name.startswith(names)]
+    if not wanted:
+        parser.error(f"no object is named {', '.join(names)}...")
     entries |= {
         model.name: poses_of(model, friction)
         for model, friction in progress(wanted, "Resting poses")
@@ -137,4 +137,4 @@ def main(argv: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run(main))

@@ -5,10 +5,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from experiments.results import percent
+from experiments.results import mean_of, percent
 from hpac_gym.evaluation import results, splits
 from hpac_gym.evaluation.blind import scale_of, share_found, winning_closures
-from hpac_gym.evaluation.statistics import rate_text, wilson_interval
+from hpac_gym.evaluation.statistics import rate_text
 from hpac_gym.output import markdown
 from hpac_gym.registration import GRASP
 
@@ -108,15 +108,17 @@ def _gentle() -> dict[str, list[tuple[str, ...]]]:
 
 
 def _gentle_row(label: str, cells: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
-    shares = []
-    for limit in GENTLE_LIMITS:
-        won, episodes = (
-            sum(cell[limit][key] for cell in cells) for key in ("successes", "episodes")
-        )
-        interval = percent(wilson_interval(won, episodes), ".0f")
-        shares.append(f"{100 * won / episodes:.0f} {interval}")
     if len(cells) == 1:
+        (cell,) = cells
+        shares = [
+            f"{100 * cell[limit]['success_rate']:.0f} {percent(cell[limit]['interval_95'], '.0f')}"
+            for limit in GENTLE_LIMITS
+        ]
         return label, *shares, ""
+    shares = [
+        f"{mean_of([100 * cell[limit]['success_rate'] for cell in cells]):.0f}"
+        for limit in GENTLE_LIMITS
+    ]
     each = [100 * cell[GENTLE_LIMITS[1]]["success_rate"] for cell in cells]
     return f"{label}, {len(cells)} seeds", *shares, f"{min(each):.0f} … {max(each):.0f}"
 

@@ -72,8 +72,8 @@ class Evaluation:
         (name, first), *others = self.episodes.items()
         differences = []
         for other, episodes in others:
-            more = [a.success - b.success for a, b in zip(first, episodes, strict=True)]
-            difference, *interval = paired_difference(more.count(1), more.count(-1), len(more))
+            held = ([one.success for one in part] for part in (first, episodes))
+            difference, *interval = paired_difference(*held)
             differences.append(
                 {"of": name, "over": other, "success": difference, "interval_95": interval}
             )

@@ -1,6 +1,6 @@
 """Confidence intervals of success rates, for one policy and over the runs of a training."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from math import sqrt
 from typing import Any
 
@@ -90,25 +90,25 @@ def rate_text(successes: int, trials: int) -> str:
     return f"{successes / trials:.1%} ({low:.1%} … {high:.1%})"
 
 
-def paired_difference(only_first: int, only_second: int, trials: int) -> tuple[float, float, float]:
-    """Difference of two success rates over the same episodes: estimate, lower and upper bound.
+def paired_difference(
+    first: Iterable[bool], second: Iterable[bool]
+) -> tuple[float, float, float]:
+    """Difference of the success rates of two over the same episodes: estimate, lower and upper
+    bound.
 
     Agresti and Min's adjusted interval for matched pairs: half an episode is added to each of the
     four outcomes. Only the episodes that exactly one of the two won tell them apart.
 
     Raises:
-        ValueError: The counts are negative, or together exceed ``trials``.
+        ValueError: Not as many episodes of both.
     """
-    if trials < 1 or min(only_first, only_second) < 0 or only_first + only_second > trials:
-        raise ValueError(
-            f"{only_first} and {only_second} discordant pairs do not fit in {trials} trials"
-        )
-    first = only_first + 0.5
-    second = only_second + 0.5
-    total = trials + 2
-    centre = (first - second) / total
-    half = Z_95 * sqrt((first + second) - (first - second) ** 2 / total) / total
-    return (only_first - only_second) / trials, max(-1.0, centre - half), min(1.0, centre + half)
+    more = [bool(one) - bool(other) for one, other in zip(first, second, strict=True)]
+    gained = sum(more)
+    discordant = len(more) - more.count(0) + 1
+    total = len(more) + 2
+    centre = gained / total
+    half = Z_95 * sqrt(discordant - gained**2 / total) / total
+    return gained / len(more), max(-1.0, centre - half), min(1.0, centre + half)
 
 
 def interquartile_mean(scores: ArrayLike) -> NDArray[np.float64]:

@@ -82,16 +82,12 @@ def test_it_learns_nothing_where_there_is_nothing_to_learn():
     assert held.mean() < 0.4
 
 
-def test_the_critics_see_what_the_actor_does_not_unless_they_observe_deploy(taught):
+def test_the_critics_see_what_the_actor_does_not(taught):
     seen = np.zeros((2, SEEN + HIDDEN), np.float32)
     seen[1, SEEN] = 0.95  # luck against it
     lucky, lost = taught[0].predicted(seen, np.zeros((2, 8)))
     assert lucky > lost + 0.3
     assert taught[0].networks.policy().sizes == (SEEN, 8)
-    lucky, lost = learned(survived, critic_obs="deploy", episodes="600")[0].predicted(
-        seen, np.zeros((2, 8))
-    )
-    assert lucky == lost
 
 
 def test_the_critics_predict_what_a_trial_comes_to(taught):

@@ -49,18 +49,24 @@ def test_impossible_counts_are_refused(successes, trials):
         wilson_interval(successes, trials)
 
 
+def outcomes(first: int, second: int, episodes: int) -> tuple[list[bool], list[bool]]:
+    """Of two over the same episodes, which that many are won by one of them alone."""
+    rest = [True] * (episodes - first - second)
+    return [True] * first + [False] * second + rest, [False] * first + [True] * second + rest
+
+
 def test_paired_difference_is_symmetric_and_tightens_with_agreement():
-    estimate, low, high = paired_difference(40, 10, 200)
+    estimate, low, high = paired_difference(*outcomes(40, 10, 200))
     assert estimate == pytest.approx(0.15)
     assert low < estimate < high
-    assert paired_difference(10, 40, 200) == pytest.approx((-estimate, -high, -low))
-    calm = paired_difference(30, 0, 200)
+    assert paired_difference(*outcomes(10, 40, 200)) == pytest.approx((-estimate, -high, -low))
+    calm = paired_difference(*outcomes(30, 0, 200))
     assert calm[2] - calm[1] < high - low
 
 
 def test_paired_difference_equals_agresti_and_mins_formula():
     # b = 12, c = 5 of n = 100: (12.5 − 5.5)/102 ± 1.96·√(18 − 7²/102)/102.
-    _, low, high = paired_difference(12, 5, 100)
+    _, low, high = paired_difference(*outcomes(12, 5, 100))
     assert (low, high) == pytest.approx((-0.011803, 0.149058), abs=1e-5)
 
 

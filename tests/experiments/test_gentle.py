@@ -5,14 +5,17 @@ import pytest
 
 pytest.importorskip("stable_baselines3")
 
-from agents import gentle
+from agents import RunError, gentle
 from agents.gentle import Hands
 from agents.gentle_rule import LARGEST, RULE
+from experiments import gentle as experiment
 from experiments.gentle import Feeling, episodes_of, fitted, judge, summary
+from hpac_gym.command import run
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.model import synergy_from_action
 from hpac_gym.policies import read_policy
 from hpac_gym.tasks.task import open_hand
+from tests.options import refused
 
 
 def moved(force, synergy=0.8, age=40):
@@ -62,10 +65,28 @@ def test_the_teacher_holds_more_than_a_hand_that_stays_open():
 
 def test_a_policy_is_trained_written_and_judged(tmp_path, monkeypatch):
     monkeypatch.setattr(gentle, "WORLDS", 4)
-    words = ["--out", str(tmp_path), "--rounds", "2", "--steps", str(4 * 88 * 12), "--untold"]
+    words = ["--out", str(tmp_path), "--rounds", "2", "--steps", str(4 * 88 * 12 - 9), "--untold"]
     assert gentle.main(words) == 0
     name = str(tmp_path / "policy.hpac")
     about = read_policy(name).about
-    assert (about["obs"], about["episodes"], about["control_steps"]) == ("load", 8, 4 * 88 * 14)
+    assert (about["obs"], about["control_steps"]) == ("load", 4 * 88 * 14)
+    assert about["episodes"] >= 4 * 14, "none lasts longer"
+    with pytest.raises(RunError, match=r"policy\.hpac' is there already"):
+        gentle.main(words)
     found = judge(name, HELD_OUT_SEED, 4, engine="mujoco", told=False)
     assert found["all"]["episodes"] == 4
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["join"], "nothing to join: no results in"),
+        (["judge"], "judge, and it alone, takes policies"),
+        (["rows", "--episodes", "0"], "'0' is not a whole number of at least 1"),
+    ],
+)
+def test_what_gives_no_results_changes_none(words, message, tmp_path, capsys):
+    before = experiment.RESULTS.read_bytes()
+    out = ["--out", str(tmp_path)]
+    assert message in refused(capsys, lambda: run(lambda: experiment.main([*words, *out])))
+    assert experiment.RESULTS.read_bytes() == before
