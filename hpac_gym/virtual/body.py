@@ -35,6 +35,8 @@ FAR = 0.5
 """Distance from the hand beyond which an object is put back [m]."""
 OPEN = 0.15
 """Largest true flexion of the servos of an open hand, with the zeros of a hidden one [rad]."""
+OPENED_AFTER_US = 3_000_000
+"""Time without pulses after which somebody opens a hand that was left closed (chosen) [µs]."""
 KEPT = 200
 """Offsets that an arm remembers: of ten seconds, much more than it is late (chosen)."""
 NEVER = 1 << 62
@@ -102,6 +104,7 @@ class Body:
         self._latch_us = 0
         self._at_us = 0.0
         self._powered = True
+        self._driven_us = 0.0
         self.place(setup)
 
     def place(self, setup: SceneSetup | None, servo: Array | None = None) -> None:
@@ -149,6 +152,8 @@ class Body:
             self._at_us = now_us
             self._latch_us = now_us
         self._powered &= bool(pulses.all())
+        if pulses.any() or by_hand is not None:
+            self._driven_us = now_us
         while self._latch_us <= now_us:
             self._advance(self._latch_us)
             servo = servo_from_pulses(pulses) if pulses.all() else by_hand
@@ -189,12 +194,18 @@ class Body:
 
     def tidy_up(self, state: SceneState) -> None:
         """Somebody puts the object back when an episode is over, or the object far away, and the
-        hand open: its pulses were off since the episode began.
+        hand open: its pulses were off since the episode began. A hand that stays closed without
+        pulses, as after an ESTOP, is opened then.
         """
         over = self._began_us is not None and not self._powered
         lost = np.linalg.norm(state.object_pos[0]) > FAR
-        if (over or lost) and state.horn[0, : len(DIGITS)].max() < OPEN:
-            self.place(self.setup, self._env.episodes.simulation.servos.horn[0])
+        closed = state.horn[0, : len(DIGITS)].max() >= OPEN
+        if not (over or lost) or (closed and self._at_us - self._driven_us < OPENED_AFTER_US):
+            return
+        horn = self._env.episodes.simulation.servos.horn[0].copy()
+        if closed:
+            horn[: len(DIGITS)] = 0.0
+        self.place(self.setup, horn)
 
     def seen(self, state: SceneState) -> Pose:
         """The object of a state as a camera sees it, in the hand's frame."""

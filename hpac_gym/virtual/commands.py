@@ -129,6 +129,9 @@ def _estop(hand: Virtual, board: HostBoard) -> None:
 
 def _greeting(options: argparse.Namespace, hand: Virtual, setup: SceneSetup) -> str:
     """The hand's port, and what to type in a second terminal."""
+    lines = [f"virtual hand at {hand.port}; Ctrl-C ends it. In a second terminal:", ""]
+    if options.angles:
+        return "\n".join([*lines, f"hpac sweep --port {hand.port} --angles {options.angles}", ""])
     item = setup.object
     half = {"cylinder": item.half_extents[1:], "sphere": item.half_extents[:1]}
     sizes = ",".join(f"{size:.4g}" for size in half.get(item.shape, item.half_extents))
@@ -137,7 +140,7 @@ def _greeting(options: argparse.Namespace, hand: Virtual, setup: SceneSetup) -> 
         f"hpac deploy {policy} --port {hand.port} --object {item.shape}:{sizes}"
         f" --pose udp:{hand.pose_port} --arm udp:127.0.0.1:{hand.arm_port}"
     )
-    lines = [f"virtual hand at {hand.port}; Ctrl-C ends it. In a second terminal:", "", words, ""]
+    lines += [words, ""]
     if options.reveal:
         lines.append(revealed(options.seed, setup))
     return "\n".join(lines)

@@ -134,7 +134,7 @@ def test_a_stopped_program_leaves_the_fault_even_if_the_stops_sender_reads_its_a
             return data
 
     robbed = Robbed(virtual_hand)
-    with pytest.raises(FaultError, match="estop"), HandLink(lambda: robbed) as link:
+    with pytest.raises(FaultError, match="estop"), HandLink(lambda: robbed) as link:  # noqa: PT012
         link.arm()
         VirtualTransport.write(robbed, encode(Frame("estop", 7, 0, {})))
         try:

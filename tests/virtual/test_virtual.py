@@ -32,7 +32,15 @@ from hpac_gym.output import OutputError
 from hpac_gym.policies.loading import load_policy
 from hpac_gym.registration import GRASP, GRASP_ANY
 from hpac_gym.tasks.task import RUNNING, SUCCESS
-from hpac_gym.virtual.body import KEPT, LATCH_US, LATE, Body, LockStep, Path as WristPath
+from hpac_gym.virtual.body import (
+    KEPT,
+    LATCH_US,
+    LATE,
+    OPENED_AFTER_US,
+    Body,
+    LockStep,
+    Path as WristPath,
+)
 from hpac_gym.virtual.commands import _estop
 from hpac_gym.virtual.hand import Tracker, Virtual
 from hpac_gym.virtual.scene import CAN, scene
@@ -427,6 +435,27 @@ def test_a_body_lifts_its_wrist_when_it_is_told_and_stands_again_after_the_episo
     body.tidy_up(body.state())
     assert not body.state().palm_offset[0].any()
     assert body.outcome == RUNNING
+
+
+@pytest.mark.parametrize("lost", [False, True])
+def test_a_hand_that_is_left_closed_by_a_stop_is_opened_and_its_object_put_back(env, lost):
+    body = Body(env, 0, scene(env, GRASP, None))
+    place = body.setup.position
+    closed = pulses_from_servo(np.full(6, 0.8))
+    body.begin(0)
+    body.tell({"time": 0.0, "offset": [0.0, 0.0, 0.0]})
+    body.follow(400_000, closed)
+    if lost:
+        body.setup = replace(body.setup, position=np.array([0.9, 0.0, 0.1]))
+        body.place(body.setup, body.state().horn[0])
+        body.setup = replace(body.setup, position=place)
+    for now in range(800_000, OPENED_AFTER_US + 1_000_000, 400_000):
+        was_closed = body.state().horn[0].max() > 0.5
+        body.follow(now, 0 * closed)
+        body.tidy_up(body.state())
+    assert was_closed
+    assert body.state().horn[0, :5].max() < 0.05
+    np.testing.assert_allclose(body.state().object_pos[0], place, atol=0.002)
 
 
 def test_servos_look_at_their_pulses_every_20_ms(env):
