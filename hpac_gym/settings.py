@@ -4,7 +4,7 @@ mappings.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from dataclasses import MISSING, dataclass, field, fields, is_dataclass, replace
 from functools import cache
 from numbers import Real
 from typing import Any, TypeVar
@@ -25,15 +25,16 @@ def _are_numbers(given: object, count: int) -> bool:
     )
 
 
-def setting(default: Any, meaning: str = "", **more: Any) -> Any:
+def setting(default: Any = MISSING, meaning: str = "", **more: Any) -> Any:
     """A field of frozen settings.
 
     Args:
-        default: its default: a number, a range, several values, or None.
+        default: its default: a number, a range, several values, or None; without one it has to be
+            given.
         meaning: its meaning for the documentation.
         more: for `check_bounds`: `bounds`, lowest and highest value; `above` is True if the lowest
-            one is refused; `unit`; `size`, number of values; `number` is True for a number whose
-            default is None. Anything else is up to the caller.
+            one is refused; `unit`; `size`, number of values; `number` is True for a number without a
+            default, or whose default is None. Anything else is up to the caller.
     """
     return field(default=default, metadata={"meaning": meaning, **more})
 
@@ -79,15 +80,12 @@ class _Bounded:
     """What is allowed, in words."""
 
     def admits(self, values: Sequence[float]) -> bool:
-        lowest = values[0] if self.count == 1 else min(values)
-        highest = values[0] if self.count == 1 else max(values)
-        return (
-            (self.low < lowest if self.above else self.low <= lowest)
-            and -math.inf < lowest
-            and highest <= self.high
-            and highest < math.inf
-            and not (self.ordered and values[0] > values[1])
-        )
+        for value in values:  # NaN is within no bounds
+            if not (self.low < value if self.above else self.low <= value):
+                return False
+            if not (-math.inf < value <= self.high and value < math.inf):
+                return False
+        return not (self.ordered and values[0] > values[1])
 
 
 @cache

@@ -203,7 +203,7 @@ def solids_from(solid: Mapping[str, Any]) -> Iterator[Solid]:
             kind, mass, (width, width, length), center, axis, solid.get("inner_radius", 0.0)
         )
     else:
-        raise ValueError(f"kind {kind!r} is not one of box, cylinder, sphere, capsule, ring")
+        raise ParameterError(f"kind {kind!r} is not one of box, cylinder, sphere, capsule, ring")
 
 
 def _ring(solid: Mapping[str, Any], center: Array, axis: Array) -> Iterator[Solid]:

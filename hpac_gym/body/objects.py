@@ -2,14 +2,16 @@
 `object_models`.
 """
 
-import math
 from dataclasses import dataclass, replace
+from math import inf
 from typing import Literal
 
 import numpy as np
 
 from hpac_gym.body.object_models import ObjectModel, load_object_models
 from hpac_gym.body.solids import Solid
+from hpac_gym.errors import ParameterError
+from hpac_gym.settings import check_bounds, setting
 
 Shape = Literal["cylinder", "box", "sphere"]
 SHAPES: tuple[Shape, ...] = ("cylinder", "box", "sphere")
@@ -25,44 +27,42 @@ class ObjectSpec:
     """A primitive object, or a modelled object with the primitive that is nearest to it.
 
     Raises:
-        ValueError: An unknown shape, a size, mass or friction that is not positive and finite, or a
-            round shape with unequal radii.
+        ParameterError: An unknown shape or model, a size, mass, friction or scale that is not
+            positive and finite, or a round shape with unequal radii.
     """
 
     shape: Shape
-    half_extents: tuple[float, float, float]
+    half_extents: tuple[float, float, float] = setting(
+        bounds=(0.0, inf), above=True, size=3, unit="m"
+    )
     """Half-extents of the bounding box, 3 values [m]; a cylinder's axis is z."""
-    mass: float
+    mass: float = setting(bounds=(0.0, inf), above=True, number=True, unit="kg")
     """[kg]"""
-    friction: float
+    friction: float = setting(bounds=(0.0, inf), above=True, number=True)
     """Coulomb coefficient of its surface, to be multiplied by the hand's."""
     model: ObjectModel | str | None = None
     """Model that replaces the primitive; a name is looked up in `load_object_models`."""
-    scale: float = 1.0
+    scale: float = setting(1.0, bounds=(0.0, inf), above=True)
     """Scale factor of the model."""
 
     def __post_init__(self) -> None:
         if self.shape not in SHAPES:
-            raise ValueError(f"shape {self.shape!r} is not one of {', '.join(SHAPES)}")
-        if not all(
-            0 < value < math.inf
-            for value in (*self.half_extents, self.mass, self.friction, self.scale)
-        ):
-            raise ValueError(
-                f"half extents, mass, friction and scale of {self} must be positive and finite"
-            )
+            raise ParameterError(f"shape {self.shape!r} is not one of {', '.join(SHAPES)}")
+        if isinstance(self.half_extents, np.ndarray):
+            object.__setattr__(self, "half_extents", tuple(self.half_extents.tolist()))
+        check_bounds(self, "object")
         x, y, z = map(float, self.half_extents)
         object.__setattr__(self, "half_extents", (x, y, z))
         if (self.shape != "box" and x != y) or (self.shape == "sphere" and x != z):
-            raise ValueError(f"half extents {self.half_extents} m do not fit a {self.shape}")
-        if isinstance(self.model, str):
+            raise ParameterError(f"half extents {self.half_extents} m do not fit a {self.shape}")
+        if self.model is not None and not isinstance(self.model, ObjectModel):
             if self.model not in load_object_models():
-                raise ValueError(
+                raise ParameterError(
                     f"model {self.model!r} is not one of {', '.join(load_object_models())}"
                 )
             object.__setattr__(self, "model", load_object_models()[self.model])
         if self.model is not None and self.model.has_hulls and self.scale != 1:
-            raise ValueError(
+            raise ParameterError(
                 f"scale {self.scale:g} of {self.model.name}: an object of one's own has the scale 1 here"
             )
 
@@ -87,26 +87,27 @@ class Support:
     Lengths are along the world's axes, rotated by the object's yaw.
 
     Raises:
-        ValueError: A length that is not positive.
+        ParameterError: A length that is not positive, or a place that is not finite.
     """
 
-    half_width: tuple[float, float]
+    half_width: tuple[float, float] = setting(bounds=(0.0, inf), above=True, size=2, unit="m")
     """Half-widths of the post along x and y [m]."""
-    offset: tuple[float, float] = (0.0, 0.0)
+    offset: tuple[float, float] = setting((0.0, 0.0), bounds=(-inf, inf), size=2, unit="m")
     """Horizontal offset of the post's centre from the object's centre [m]."""
     gap: tuple[float, float] | None = None
     """Half of the distance between opposite walls along x and y [m]; None or infinity for no walls.
     """
-    wall_height: float = 0.02
+    wall_height: float = setting(0.02, bounds=(0.0, inf), above=True, unit="m")
     """Height of the walls above the post [m]."""
-    spread: tuple[float, float] = (0.0, 0.0)
+    spread: tuple[float, float] = setting((0.0, 0.0), bounds=(-inf, inf), size=2, unit="m")
     """Offset of two such posts to either side of the centre [m]; zero is a single post."""
-    table_height: float = 0.0
+    table_height: float = setting(0.0, bounds=(-inf, inf), unit="m")
     """Height of the table in the world [m]; the wrist starts at 0.25 m."""
 
     def __post_init__(self) -> None:
-        if not min(*self.half_width, *(self.gap or ()), self.wall_height) > 0:
-            raise ValueError(f"lengths of {self} must be greater than 0 m")
+        check_bounds(self, "support")
+        if self.gap is not None and not (len(self.gap) == 2 and all(side > 0 for side in self.gap)):
+            raise ParameterError(f"support gap = {self.gap} m must be 2 values greater than 0 m")
 
     def boxes(
         self, height: float

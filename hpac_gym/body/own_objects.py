@@ -56,6 +56,10 @@ _MANY_FACES = 1000
 """A coarse decomposition of more faces first remeshes them at its resolution."""
 _CONVEX = 0.99
 """A mesh that fills at least this fraction of its convex hull is not decomposed."""
+_CORNERS = 256
+"""A convex mesh with more corners keeps those that lie outermost in so many directions, and along
+its axes: more would slow PyBullet down.
+"""
 _UP = {"z": np.eye(3), "y": rotation_about((1, 0, 0), math.pi / 2)}
 
 
@@ -96,7 +100,7 @@ def own_object(
         ("mass", mass, MAX_MASS),
     ):
         if name != "mass" or mass is not None:
-            _check_positive(path, name, value, most)
+            _check_positive(f"'{path}'", name, value, most)
     for name, given, known in (("up", up, _UP), ("detail", detail, DETAILS)):
         if given not in list(known):
             raise ParameterError(f"{name} {given!r} is not one of {', '.join(known)}")
@@ -108,7 +112,7 @@ def own_object(
         solids = _of_mesh(path, np.full(3, scale), how)
     if mass is None:
         raise ParameterError(f"'{path}' says no mass: give one in kg")
-    _check_positive(path, "mass", mass, MAX_MASS)
+    _check_positive(f"'{path}'", "mass", mass, MAX_MASS)
     return _spec(path, [solid.moved(_UP[up]) for solid in solids], mass, friction)
 
 
@@ -129,15 +133,28 @@ def as_object(given: ObjectSpec | Mapping[str, Any]) -> ObjectSpec:
         raise ParameterError(
             f"object {given!r} is neither an ObjectSpec, as own_object gives one, nor a dictionary for it"
         )
+    owner = f"a {given.shape}"
+    _check_sides(owner, 2 * np.array(given.half_extents))
+    _check_positive(owner, "mass", given.mass, MAX_MASS)
+    _check_positive(owner, "friction", given.friction, MAX_FRICTION)
     return given
 
 
-def _check_positive(path: Path, name: str, value: Any, most: float) -> None:
+def _check_sides(owner: str, size: Array, hint: str = "") -> None:
+    """Refuse a bounding box with a side, shape (3,) [m], that is too small or too large."""
+    if not (size.min() >= MIN_SIDE and size.max() <= MAX_SIDE):
+        sides = " x ".join(f"{side:.3g}" for side in size)
+        raise ParameterError(
+            f"{owner} is {sides} m: sides must be {MIN_SIDE} to {MAX_SIDE} m{hint}"
+        )
+
+
+def _check_positive(owner: str, name: str, value: Any, most: float) -> None:
     """Refuse a value that is not a positive number of at most `most`."""
     if not (isinstance(value, Real) and 0 < value <= most):
         unit = " kg" if name == "mass" else ""
         raise ParameterError(
-            f"{name} {value!r}{unit} of '{path}' must be a number greater than 0 and at most {most:g}{unit}"
+            f"{name} {value!r}{unit} of {owner} must be a number greater than 0 and at most {most:g}{unit}"
         )
 
 
@@ -147,11 +164,7 @@ def _spec(path: Path, solids: list[Solid], mass: float, friction: float) -> Obje
     """
     low, high = bounds_of(solids)
     size = high - low
-    if not (size.min() >= MIN_SIDE and size.max() <= MAX_SIDE):
-        sides = " x ".join(f"{side:.3g}" for side in size)
-        raise ParameterError(
-            f"'{path}' is {sides} m: sides must be {MIN_SIDE} to {MAX_SIDE} m; scale=0.001 is for a file in mm"
-        )
+    _check_sides(f"'{path}'", size, "; scale=0.001 is for a file in mm")
     density = mass / sum(solid.mass for solid in solids)
     middle = (low + high) / 2
     parts = tuple(
@@ -253,7 +266,21 @@ def _decomposed(path: Path, settings: Mapping[str, Any]) -> list:
             for part in parts:
                 share = (part.vertices - low) / (high - low)
                 part.vertices = mesh.bounds[0] + share * mesh.extents
+    elif len(whole.vertices) > _CORNERS:
+        parts = [trimesh.convex.convex_hull(_outermost(whole.vertices))]
     return [(part.vertices.tolist(), part.faces.tolist()) for part in parts]
+
+
+def _outermost(corners: Array) -> Array:
+    """The corners that lie outermost in `_CORNERS` directions, on a spiral about a sphere, and along
+    the axes.
+    """
+    step = np.arange(_CORNERS) + 0.5
+    height = 1 - 2 * step / _CORNERS
+    turn = math.pi * (1 + math.sqrt(5)) * step
+    around = np.sqrt(1 - height**2) * (np.cos(turn), np.sin(turn))
+    ways = np.hstack([(*around, height), np.eye(3), -np.eye(3)])
+    return corners[np.unique((corners / np.ptp(corners, axis=0) @ ways).argmax(axis=0))]
 
 
 def _hull(corners: Array, faces: Array) -> Solid:
@@ -340,6 +367,10 @@ def _of_geometry(path: Path, form: Xml.Element, how: _Decomposition) -> list[Sol
         )
     radius = float(form.get("radius"))
     length = float(form.get("length", 0.0))
+    if length < 0:
+        raise ParameterError(
+            f"a {form.tag} of '{path}' is {length:g} m long: it must be at least 0 m"
+        )
     ball = 4 / 3 * math.pi * radius**3
     tube = math.pi * radius**2 * length
     wide = 2 * radius

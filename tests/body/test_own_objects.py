@@ -16,7 +16,7 @@ import pytest
 import trimesh
 
 from hpac_gym.body import own_objects
-from hpac_gym.body.objects import ObjectSpec
+from hpac_gym.body.objects import ObjectSpec, Support
 from hpac_gym.body.own_objects import own_object
 from hpac_gym.envs import GraspAny, GraspError, ScriptedClosure
 from hpac_gym.errors import ParameterError
@@ -43,6 +43,7 @@ WEDGE = np.array(
 )
 """Triangles of a convex mesh, which is its own single part, found without CoACD [mm]."""
 BOX = ObjectSpec("box", (0.02, 0.02, 0.05), 0.1, 0.8)
+SPEC = {"shape": "box", "half_extents": [0.02, 0.02, 0.05], "mass": 0.1, "friction": 0.8}
 
 
 def l_faces() -> np.ndarray:
@@ -134,6 +135,18 @@ def test_a_coarse_decomposition_is_the_default_and_a_fine_one_follows_the_mesh(
     assert [how["seed"] for how in asked] == [0, 1]
     with pytest.raises(ParameterError, match="detail 'exact' is not one of coarse, fine"):
         own_object(path, mass=0.1, scale=0.001, detail="exact")
+
+
+def test_a_round_mesh_keeps_few_of_its_corners_and_its_size(tmp_path):
+    """A ball of 10,242 corners, as wide as long and half as high."""
+    mesh = trimesh.creation.icosphere(subdivisions=5, radius=30.0)
+    mesh.apply_scale([1.0, 1.0, 0.5])
+    mesh.export(tmp_path / "stone.stl")
+    model = own_object(tmp_path / "stone.stl", mass=0.1, scale=0.001).model
+    (solid,) = model.solids
+    assert len(solid.hull.vertices) < 300
+    np.testing.assert_allclose(model.size, (0.06, 0.06, 0.03), rtol=1e-5)
+    assert solid.hull.moments()[0] == pytest.approx(1e-9 * mesh.volume, rel=0.03)
 
 
 def contains(solid, place: np.ndarray) -> bool:
@@ -303,6 +316,11 @@ BAD_FILES = {
         "less.urdf",
         urdf("<box size='-.04 1 1'/>"),
         "a box of '.*less.urdf' is -0.04 x 1 x 1 m: sides must be",
+    ),
+    "a negative length": (
+        "short.urdf",
+        urdf("<capsule radius='0.02' length='-0.03'/>"),
+        "a capsule of '.*short.urdf' is -0.03 m long: it must be at least 0 m",
     ),
     "a size that is not a number": (
         "nan.urdf",
@@ -511,6 +529,34 @@ def test_a_mesh_is_closed_though_its_texture_has_seams(tmp_path):
             r"object {'weight': 0.1}: .*unexpected keyword argument 'weight'",
         ),
         (
+            {"object": SPEC | {"half_extents": [0.02, 0.02]}},
+            ParameterError,
+            r"object half_extents = \[0.02, 0.02\] m must be 3 values within \]0, inf\[ m",
+        ),
+        (
+            {"object": SPEC | {"half_extents": 0.02}},
+            ParameterError,
+            r"object half_extents = 0.02 m must be 3 values",
+        ),
+        ({"object": SPEC | {"mass": -1.0}}, ParameterError, r"object mass = -1.0 kg must be"),
+        (
+            {"object": SPEC | {"friction": float("nan")}},
+            ParameterError,
+            r"object friction = nan must be a number within \]0, inf\[",
+        ),
+        ({"object": SPEC | {"shape": "cone"}}, ParameterError, r"shape 'cone' is not one of"),
+        ({"object": SPEC | {"model": 3}}, ParameterError, r"model 3 is not one of beverage_can"),
+        (
+            {"object": SPEC | {"half_extents": [2.0, 2.0, 2.0]}},
+            ParameterError,
+            r"a box is 4 x 4 x 4 m: sides must be 0.002 to 0.4 m",
+        ),
+        (
+            {"object": SPEC | {"mass": 1e6}},
+            ParameterError,
+            r"mass 1000000.0 kg of a box must be a number greater than 0 and at most 5 kg",
+        ),
+        (
             {"object": BOX, "grasp": "hook"},
             GraspError,
             r"grasp 'hook' has its own object: give either grasp or object",
@@ -523,12 +569,33 @@ def test_a_bad_object_of_an_environment_is_one_clear_line(options, error, messag
         gymnasium.make("HPAC-Grasp-v0", **options)
 
 
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"half_width": (0.01, float("nan"))}, r"support half_width = \(0.01, nan\) m must be 2"),
+        (
+            {"gap": (0.03, float("nan"))},
+            r"support gap = \(0.03, nan\) m must be 2 values greater than 0 m",
+        ),
+        ({"gap": (0.03,)}, r"support gap = \(0.03,\) m must be 2 values greater than 0 m"),
+        ({"wall_height": 0.0}, r"support wall_height = 0.0 m must be a number within \]0, inf\["),
+        ({"table_height": float("inf")}, r"support table_height = inf m must be a number"),
+    ],
+)
+def test_a_bad_support_is_one_clear_line(change, message):
+    with pytest.raises(ParameterError, match=message):
+        Support(**{"half_width": (0.01, 0.01)} | change)
+    assert len(Support((0.01, 0.01), gap=(float("inf"), 0.03)).boxes(0.1)) == 3
+
+
 def test_an_unknown_name_and_a_scale_of_an_own_object_are_refused(ell, decomposed):
-    with pytest.raises(ValueError, match=r"model 'mug' is not one of beverage_can, tennis_ball"):
+    with pytest.raises(
+        ParameterError, match=r"model 'mug' is not one of beverage_can, tennis_ball"
+    ):
         ObjectSpec("box", (0.02, 0.02, 0.05), 0.1, 0.8, "mug")
     spec = own_object(ell, mass=0.08, scale=0.001, folder=decomposed)
     with pytest.raises(
-        ValueError, match=r"scale 1.1 of ell: an object of one's own has the scale 1 here"
+        ParameterError, match=r"scale 1.1 of ell: an object of one's own has the scale 1 here"
     ):
         replace(spec, scale=1.1)
     with pytest.raises(ParameterError, match=r"config size = \(0.8, 1.2\): .* has its own size"):

@@ -301,7 +301,7 @@ def test_an_object_is_of_finite_size_mass_and_friction(value):
         {"friction": value},
         {"scale": value},
     ):
-        with pytest.raises(ValueError, match="finite"):
+        with pytest.raises(ParameterError, match=r"must be .* within"):
             ObjectSpec(**spec | wrong)
 
 

@@ -135,6 +135,7 @@ def test_servos_arrive_together_and_on_time():
         ),
         (Damping, "joint", -1.0, r"damping joint = -1.0 N·m·s/rad"),
         (HandSettings, "slack", (-1e-3,) * 5, "slack = .* m must be 5 values within"),
+        (HandSettings, "slack", (0.0, *[float("nan")] * 4), "slack = .* m must be 5 values within"),
         (
             HandSettings,
             "strength",

@@ -131,7 +131,7 @@ def test_a_grasp_file_reads_back():
         ("yaw_noise = 0.5", "yaw_noise = 0.5\ncolour = 1", "rod: unknown fields colour"),
         ("[0.03, 0.0, 0.1]", "[0.03, 0.0]", "rod: position must be three numbers"),
         ("closed = [0.9", "closed = [9.0", "rod: closed thumb_mp = 9 rad"),
-        ("[0.01, 0.01] }", "[0.01, -0.01] }", "rod: .*greater than 0"),
+        ("[0.01, 0.01] }", "[0.01, -0.01] }", "rod: support half_width .* must be 2 values within"),
         ("half_width", "width", "rod: .*width"),
     ],
 )
