@@ -19,7 +19,7 @@ from lerobot.utils.keyboard_input import create_key_listener
 
 from hpac_gym.deploy.arm import arm_of
 from hpac_gym.deploy.commands import object_of
-from hpac_gym.deploy.errors import DeployError
+from hpac_gym.deploy.errors import MALFORMED, DeployError
 from hpac_gym.deploy.observer import Observer
 from hpac_gym.deploy.poses import averaged
 from hpac_gym.errors import HpacError
@@ -321,7 +321,7 @@ class HpacLandmarks(HpacTeleoperator):
                 self._heard_at = time.monotonic()
             except BlockingIOError:
                 break
-            except (ValueError, KeyError, TypeError) as error:
+            except MALFORMED as error:
                 self.refused += 1
                 log.warning("no landmarks: %s", error)
         old = time.monotonic() - self._heard_at > self.config.oldest

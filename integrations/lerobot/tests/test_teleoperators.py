@@ -97,12 +97,14 @@ def test_landmarks_come_by_udp_and_a_silent_tracker_opens_the_hand():
             b"[]",
             b'{"hpac_landmarks": 2}',
             b'{"hpac_landmarks": 1, "points": 3}',
+            b"[" * 8000,
+            b'{"hpac_landmarks": 1, "points": [[1%s, 0, 0]]}' % (b"0" * 400),
         ):
             tracker.send(bad)
         time.sleep(0.05)
         assert np.array_equal(values(hand), seen)
     assert seen == pytest.approx(action_from_synergy(synergy), abs=0.1)
-    assert hand.refused == 4
+    assert hand.refused == 6
     time.sleep(0.4)
     assert values(hand) == pytest.approx(-np.ones(6))
     hand.disconnect()
