@@ -27,6 +27,7 @@ from hpac_gym.model import SERVOS, action_from_synergy, streamed_servo
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import SceneSetup
 from hpac_gym.policies.loading import about, load_policy
+from hpac_gym.settings import check_bounds, setting
 from hpac_gym.tasks.task import CONTROL_HZ
 from lerobot_robot_hpac.features import ACTIONS, Commands, clipped, named, shared_source
 from lerobot_robot_hpac.landmarks import synergy_from_landmarks
@@ -47,6 +48,7 @@ class HpacTeleoperator(Teleoperator):
 
     def __init__(self, config: TeleoperatorConfig) -> None:
         super().__init__(config)
+        check_bounds(config, "teleop")
         self.config = config
         self._connected = False
 
@@ -110,7 +112,7 @@ class HpacPolicyConfig(TeleoperatorConfig):
     arm: str = "none"
     env: str = "HPAC-Grasp-v0"
     grasp: str | None = None
-    hold: float = 2.0
+    hold: float = setting(2.0, bounds=(0.0, np.inf), unit="s")
 
 
 class _Began(logging.Handler):
@@ -229,7 +231,7 @@ class HpacKeyboardConfig(TeleoperatorConfig):
         step: change of an action by one key, of its range of 2.
     """
 
-    step: float = 0.1
+    step: float = setting(0.1, bounds=(0.0, 2.0), above=True)
 
 
 class HpacKeyboard(HpacTeleoperator):
@@ -282,7 +284,7 @@ class HpacLandmarksConfig(TeleoperatorConfig):
     """
 
     port: int = 9021
-    oldest: float = 1.0
+    oldest: float = setting(1.0, bounds=(0.0, np.inf), above=True, unit="s")
 
 
 class HpacLandmarks(HpacTeleoperator):

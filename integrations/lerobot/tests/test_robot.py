@@ -13,6 +13,7 @@ from lerobot_robot_hpac.features import ACTIONS, PREDICTED, ActionError, Command
 
 from hpac_gym.bridge import BridgeError, HandLink, HostBoard, open_transport, servo_from_pulses
 from hpac_gym.bridge.stop import stop
+from hpac_gym.errors import HpacError
 from hpac_gym.model import HPAC, elastic_joints_from_servo, servo_from_action
 
 
@@ -138,6 +139,22 @@ def test_the_way_to_the_start_is_behind_the_robot_when_it_is_connected(board):
     robot.connect()
     assert list(robot.get_observation().values())[:6] == pytest.approx(start, abs=1e-3)
     robot.disconnect()
+
+
+@pytest.mark.parametrize(
+    ("setting", "told"),
+    [
+        ({"start": [0.5] * 5}, r"start must have shape \(..., 6\), not \(5,\)"),
+        ({"start": []}, "start must have shape"),
+        ({"start": [0.5, np.nan, 0.5, 0.5, 0.5, 0.5]}, "start index_mcp.pos = nan"),
+        ({"start": [45.0] * 6}, r"start thumb_mp.pos = 45 .*\[-1, 1\]"),
+        ({"patience": np.nan}, r"patience = nan s must be a number within \]0, inf\[ s"),
+        ({"patience": 0.0}, "patience = 0.0 s"),
+    ],
+)
+def test_settings_that_no_hand_can_have_are_refused_before_anything_is_opened(setting, told):
+    with pytest.raises(HpacError, match=f"robot {told}"):
+        Hpac(HpacConfig(port="/dev/none", **setting))
 
 
 def test_a_stop_from_elsewhere_is_raised_and_the_hand_stays_off(board, robot):

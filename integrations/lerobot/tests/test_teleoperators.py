@@ -118,6 +118,21 @@ def test_a_port_that_is_taken_is_told():
     hand.disconnect()
 
 
+@pytest.mark.parametrize(
+    ("kind", "setting"),
+    [
+        ("hpac_landmarks", {"oldest": np.nan}),
+        ("hpac_landmarks", {"oldest": 0.0}),
+        ("hpac_keyboard", {"step": np.nan}),
+        ("hpac_policy", {"policy": "grasp", "object": CAN, "pose": PLACE, "hold": np.nan}),
+    ],
+)
+def test_numbers_that_mean_nothing_are_refused(kind, setting):
+    name = list(setting)[-1]
+    with pytest.raises(ValueError, match=rf"teleop {name} = .* must be a number within"):
+        made(kind, **setting)
+
+
 # --- keys
 
 
