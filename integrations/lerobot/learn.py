@@ -46,7 +46,7 @@ def episode(env: HandEnv, seed: int, act: Act) -> tuple[bool, list[np.ndarray], 
     observer = Observer("HPAC-Grasp-v0", world.seen_object)
     observer.setup = replace(world.body.setup, object=world.seen_object)
     observer.start()
-    features._sources["lockstep"] = world
+    features.source_of = lambda *_: world
     start = action_from_synergy(observer.setup.synergy)
     hand = Hpac(HpacConfig(port=world.hand.connect, pose="lockstep", start=list(start)))
     states = []

@@ -6,11 +6,14 @@ are therefore the same quantity, −1 (open) to 1 (closed)."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 
 import numpy as np
 
-from hpac_gym.body.objects import ObjectSpec
+from hpac_gym.deploy.commands import object_of
+from hpac_gym.deploy.errors import PoseError
 from hpac_gym.deploy.observer import Pose
 from hpac_gym.deploy.poses import Source, source_of
 from hpac_gym.errors import HpacError
@@ -26,6 +29,8 @@ POSE = tuple(f"object_{name}.pos" for name in ("x", "y", "z", "qx", "qy", "qz", 
 """Place of an object in the hand's frame [m], and its rotation."""
 
 _sources: dict[str, Source] = {}
+_objects: defaultdict[str, list[str | None]] = defaultdict(list)
+"""Open sources, and what each of their users calls the object."""
 
 
 class ActionError(HpacError, ValueError):
@@ -81,13 +86,27 @@ class Commands:
         return action_from_synergy(synergy_from_servo(shown, bounds), bounds)
 
 
-def shared_source(text: str, seen: ObjectSpec | None = None) -> Source:
+@contextmanager
+def shared_source(text: str, seen: str | None) -> Iterator[Source]:
     """The source of poses of a ``pose``, see `hpac_gym.deploy.poses.source_of`: one for robot and
-    teleoperator, since a port or a camera can be opened only once.
+    teleoperator, since a port or a camera can be opened only once. The last one closes it.
+
+    Raises:
+        PoseError: A camera, and they do not name the same object.
     """
-    if text not in _sources:
-        _sources[text] = source_of(text, seen)
-    return _sources[text]
+    objects = _objects[text]
+    if text.startswith("camera:") and (not seen or {*objects} - {seen}):
+        told = ", ".join(map(str, [*objects, seen]))
+        raise PoseError(f"{text} needs one object for robot and teleoperator; given: {told}")
+    if not objects:
+        _sources[text] = source_of(text, object_of(seen) if seen else None)
+    objects.append(seen)
+    try:
+        yield _sources[text]
+    finally:
+        objects.remove(seen)
+        if not objects:
+            _sources.pop(text).close()
 
 
 def numbers_of(pose: Pose) -> dict[str, float]:

@@ -62,6 +62,7 @@ class HpacConfig(RobotConfig):
         start: action to which `connect` leads the hand slowly, before LeRobot's clock runs; None is
             the open hand.
         pose: source of an object's poses, as of `hpac deploy --pose`, which are then observed.
+        object: the object before a camera, as of `hpac deploy --object`.
         cameras: LeRobot's cameras.
     """
 
@@ -70,6 +71,7 @@ class HpacConfig(RobotConfig):
     patience: float = setting(10.0, bounds=(0.0, np.inf), above=True, unit="s")
     start: list[float] | None = None
     pose: str | None = None
+    object: str | None = None
     cameras: dict[str, CameraConfig] = field(default_factory=dict)
 
 
@@ -131,8 +133,9 @@ class Hpac(Robot):
                 camera.connect()
                 stack.callback(camera.disconnect)
             if self.config.pose:
-                self._source = shared_source(self.config.pose)
-                self._pose = averaged(self._source, 0.0, np.inf)
+                source = shared_source(self.config.pose, self.config.object)
+                self._source = stack.enter_context(source)
+                averaged(self._source, 0.0, np.inf)
             port = connector(self.config.port, stack, self._hand)
             self._link = stack.enter_context(HandLink(port, hand=self._hand))
             self._failed = None
@@ -164,8 +167,8 @@ class Hpac(Robot):
         seen |= named(PREDICTED, self._commands.predicted(servo))
         if self.config.pose:
             # An arm and fingers that hide the object leave the last pose.
-            self._pose, _ = self._source.latest() or (self._pose, 0.0)
-            seen |= numbers_of(self._pose)
+            pose, _ = self._source.latest()
+            seen |= numbers_of(pose)
         return seen | {name: camera.read_latest() for name, camera in self.cameras.items()}
 
     @check_if_not_connected

@@ -8,6 +8,7 @@ import json
 import logging
 import socket
 import time
+from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -19,14 +20,15 @@ from lerobot.utils.keyboard_input import create_key_listener
 
 from hpac_gym.deploy.arm import arm_of
 from hpac_gym.deploy.commands import object_of
+from hpac_gym.deploy.episode import AVERAGED, OLDEST
 from hpac_gym.deploy.errors import MALFORMED, DeployError
 from hpac_gym.deploy.observer import Observer
 from hpac_gym.deploy.poses import averaged
 from hpac_gym.errors import HpacError
-from hpac_gym.model import SERVOS, action_from_synergy, streamed_servo
+from hpac_gym.model import HPAC, SERVOS, action_from_synergy, load_hand, streamed_servo
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import SceneSetup
-from hpac_gym.policies.loading import about, load_policy
+from hpac_gym.policies.loading import about, load_policy, needed_options
 from hpac_gym.settings import check_bounds, setting
 from hpac_gym.tasks.task import CONTROL_HZ
 from lerobot_robot_hpac.features import ACTIONS, Commands, clipped, named, shared_source
@@ -37,7 +39,9 @@ log = logging.getLogger(__name__)
 
 
 class HpacTeleoperator(Teleoperator):
-    """What the teleoperators share; each has `_open`, `_wanted` and `_close`."""
+    """What the teleoperators share; each has `_open`, which leaves on the stack what closes it, and
+    `_wanted`.
+    """
 
     action_features = dict.fromkeys(ACTIONS, float)
     """The six actions."""
@@ -50,12 +54,12 @@ class HpacTeleoperator(Teleoperator):
         super().__init__(config)
         check_bounds(config, "teleop")
         self.config = config
-        self._connected = False
+        self._stack: ExitStack | None = None
 
     @property
     def is_connected(self) -> bool:
         """Whether `connect` was called."""
-        return self._connected
+        return self._stack is not None
 
     def calibrate(self) -> None:
         """Nothing to do."""
@@ -69,8 +73,9 @@ class HpacTeleoperator(Teleoperator):
     @check_if_already_connected
     def connect(self, calibrate: bool = True) -> None:
         """Open what the actions come from."""
-        self._open()
-        self._connected = True
+        with ExitStack() as stack:
+            self._open(stack)
+            self._stack = stack.pop_all()
 
     @check_if_not_connected
     def get_action(self) -> RobotAction:
@@ -83,9 +88,9 @@ class HpacTeleoperator(Teleoperator):
 
     def disconnect(self) -> None:
         """Close what `connect` opened."""
-        if self._connected:
-            self._connected = False
-            self._close()
+        if self._stack is not None:
+            stack, self._stack = self._stack, None
+            stack.close()
 
 
 # A policy ---------------------------------------------------------------------------------
@@ -103,6 +108,7 @@ class HpacPolicyConfig(TeleoperatorConfig):
         arm: who carries the hand: none, enter or udp:HOST:PORT.
         env: environment of a policy without a file.
         grasp: named grasp or type, for the tasks that have them.
+        hand: hand file of the robot; None is the nominal hand.
         hold: time for which the last action is repeated, before the hand opens [s].
     """
 
@@ -112,6 +118,7 @@ class HpacPolicyConfig(TeleoperatorConfig):
     arm: str = "none"
     env: str = "HPAC-Grasp-v0"
     grasp: str | None = None
+    hand: str | None = None
     hold: float = setting(2.0, bounds=(0.0, np.inf), unit="s")
 
 
@@ -134,21 +141,22 @@ class HpacPolicy(HpacTeleoperator):
     config_class = HpacPolicyConfig
     name = "hpac_policy"
 
-    def _open(self) -> None:
+    def _open(self, stack: ExitStack) -> None:
         config = self.config
         env_id = about(config.policy).get("env_id") or config.env
-        self._observer = Observer(env_id, object_of(config.object), grasp=config.grasp)
+        thing = object_of(config.object)
+        hand = load_hand(config.hand) if config.hand else HPAC
+        options = needed_options(config.policy)
+        self._observer = Observer(env_id, thing, hand, config.grasp, **options)
         if self._observer.task.wrist_actions:
             raise DeployError(f"{config.policy} places the wrist, which LeRobot's actions have not")
         self._policy = load_policy(config.policy, self._observer)
-        self._source = shared_source(config.pose, object_of(config.object))
+        self._source = stack.enter_context(shared_source(config.pose, config.object))
         self._arm = arm_of(config.arm)
+        stack.callback(self._arm.close)
         self._began = _Began()
         logging.getLogger().addHandler(self._began)
-
-    def _close(self) -> None:
-        logging.getLogger().removeHandler(self._began)
-        self._arm.close()
+        stack.callback(logging.getLogger().removeHandler, self._began)
 
     def _begin(self) -> None:
         self._began.heard = False
@@ -156,7 +164,7 @@ class HpacPolicy(HpacTeleoperator):
         self._step = 0
         self._observer.start()
         self._arm.ready(time.sleep, {"phase": "ready", "time": 0.0, "offset": [0.0, 0.0, 0.0]})
-        self._pose = averaged(self._source, 0.5, 0.5)
+        self._pose = averaged(self._source, AVERAGED, OLDEST)
 
     def _wanted(self) -> Array:
         if self._began.heard:
@@ -168,7 +176,7 @@ class HpacPolicy(HpacTeleoperator):
             return action_from_synergy(observer.setup.synergy)
         if step < observer.steps:
             if step:
-                self._pose = (self._source.latest() or (self._pose, 0.0))[0]
+                self._pose, _ = self._source.latest()
             offset = observer.wrist_offset().tolist()
             self._arm.tell({"phase": observer.phase(), "time": step / CONTROL_HZ, "offset": offset})
             seen = observer.see(self._pose)
@@ -200,15 +208,13 @@ class HpacSliders(HpacTeleoperator):
     config_class = HpacSlidersConfig
     name = "hpac_sliders"
 
-    def _open(self) -> None:
+    def _open(self, stack: ExitStack) -> None:
         from hpac_gym.view.page import HandPage
 
         text = "Each slider is a servo of the hand that LeRobot drives."
         self._page = HandPage(SceneSetup(None), text, browser=self.config.browser)
+        stack.callback(self._page.close)
         self._commands = Commands()
-
-    def _close(self) -> None:
-        self._page.close()
 
     def _wanted(self) -> Array:
         from hpac_gym.view.shown import Shown
@@ -243,14 +249,15 @@ class HpacKeyboard(HpacTeleoperator):
     name = "hpac_keyboard"
     keys = "asdfgh"
 
-    def _open(self) -> None:
+    def _open(self, stack: ExitStack) -> None:
         self._at = OPEN.copy()
         text = (
             f"{self.keys}: close {', '.join(SERVOS)}; w: all digits; Shift: open; space: open all"
         )
-        self._listener = create_key_listener(self.press, controls_help=text)
-        if self._listener is None:
+        listener = create_key_listener(self.press, controls_help=text)
+        if listener is None:
             raise HpacError("no keys: neither a terminal nor an X11 display; use hpac_sliders")
+        stack.callback(listener.stop)
 
     def press(self, key: str) -> None:
         """A key was pressed."""
@@ -262,9 +269,6 @@ class HpacKeyboard(HpacTeleoperator):
         elif len(key) == 1 and key.lower() in self.keys:
             here = np.arange(len(SERVOS)) == self.keys.index(key.lower())
             self._at = np.clip(self._at + step * here, -1.0, 1.0)
-
-    def _close(self) -> None:
-        self._listener.stop()
 
     def _wanted(self) -> Array:
         return self._at
@@ -298,20 +302,16 @@ class HpacLandmarks(HpacTeleoperator):
     config_class = HpacLandmarksConfig
     name = "hpac_landmarks"
 
-    def _open(self) -> None:
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    def _open(self, stack: ExitStack) -> None:
+        self._socket = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
         self._socket.setblocking(False)
         try:
             self._socket.bind(("127.0.0.1", self.config.port))
         except (OSError, OverflowError) as error:
-            self._socket.close()
             raise DeployError(f"UDP port {self.config.port}: {error}") from None
         self.port = self._socket.getsockname()[1]
         self.refused = 0
         self._heard_at = -np.inf
-
-    def _close(self) -> None:
-        self._socket.close()
 
     def _wanted(self) -> Array:
         while True:

@@ -1,6 +1,8 @@
 """The hand as a LeRobot robot, through the firmware in a process of its own: its pulses are the judge."""
 
 import importlib.metadata
+import json
+import socket
 import time
 
 import numpy as np
@@ -9,7 +11,15 @@ from lerobot.robots import RobotConfig, make_robot_from_config
 from lerobot.utils.errors import DeviceNotConnectedError
 from lerobot.utils.import_utils import register_third_party_plugins
 from lerobot_robot_hpac import Hpac, HpacConfig
-from lerobot_robot_hpac.features import ACTIONS, PREDICTED, ActionError, Commands, named
+from lerobot_robot_hpac.features import (
+    ACTIONS,
+    POSE,
+    PREDICTED,
+    ActionError,
+    Commands,
+    named,
+    shared_source,
+)
 
 from hpac_gym.bridge import BridgeError, HandLink, HostBoard, open_transport, servo_from_pulses
 from hpac_gym.bridge.stop import stop
@@ -155,6 +165,22 @@ def test_the_way_to_the_start_is_behind_the_robot_when_it_is_connected(board):
 def test_settings_that_no_hand_can_have_are_refused_before_anything_is_opened(setting, told):
     with pytest.raises(HpacError, match=f"robot {told}"):
         Hpac(HpacConfig(port="/dev/none", **setting))
+
+
+def test_the_object_is_observed_and_its_source_closed(board):
+    with shared_source("udp:0", None) as source:
+        robot = Hpac(HpacConfig(port=board.port, pose="udp:0"))
+        assert list(robot.observation_features) == [*ACTIONS, *PREDICTED, *POSE]
+        sent = {"hpac_pose": 1, "position": [0.05, 0.0, 0.1]}
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as camera:
+            camera.sendto(json.dumps(sent).encode(), ("127.0.0.1", source.port))
+        robot.connect()
+        assert [robot.get_observation()[name] for name in POSE[:3]] == sent["position"]
+        robot.disconnect()
+        assert source._thread.is_alive()  # it has another user
+    assert not source._thread.is_alive()
+    with shared_source("udp:0", None) as other:
+        assert other.latest() is None
 
 
 def test_a_stop_from_elsewhere_is_raised_and_the_hand_stays_off(board, robot):

@@ -4,19 +4,23 @@ import json
 import logging
 import socket
 import time
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
 from lerobot.teleoperators import TeleoperatorConfig, make_teleoperator_from_config
-from lerobot_robot_hpac import teleoperators
+from lerobot_robot_hpac import Hpac, HpacConfig, teleoperators
 from lerobot_robot_hpac.features import ACTIONS, ActionError
 from lerobot_robot_hpac.landmarks import synergy_from_landmarks
 
 from hpac_gym.body.geometry import HPAC_GEOMETRY, link_poses, rotation_about
+from hpac_gym.bridge import HostBoard
+from hpac_gym.deploy import poses
 from hpac_gym.deploy.commands import object_of
-from hpac_gym.deploy.errors import DeployError
+from hpac_gym.deploy.errors import DeployError, PoseError
 from hpac_gym.deploy.observer import Observer
 from hpac_gym.deploy.poses import Fixed, pose_of
+from hpac_gym.envs.models import FILES
 from hpac_gym.errors import HpacError, ShapeError
 from hpac_gym.model import (
     DIGITS,
@@ -25,6 +29,7 @@ from hpac_gym.model import (
     SERVOS,
     action_from_synergy,
     elastic_joints_from_servo,
+    load_hand,
     servo_from_synergy,
     streamed_servo,
     synergy_from_action,
@@ -33,6 +38,7 @@ from hpac_gym.policies.loading import load_policy
 
 CAN = "cylinder:0.02,0.05"
 PLACE = "0.0485,0,0.12"
+CALIBRATED = str(FILES / "test_00.toml")
 
 
 def made(kind, **settings):
@@ -185,9 +191,13 @@ def test_the_sliders_of_the_page_are_the_actions():
 # --- a policy
 
 
-def test_a_policy_gives_what_it_gives_in_a_deployment_and_one_episode_for_each_of_lerobots():
-    seen = Observer("HPAC-Grasp-v0", object_of(CAN))
-    policy = load_policy("scripted", seen)
+@pytest.mark.parametrize(("name", "file"), [("scripted", None), ("grasp", CALIBRATED)])
+def test_a_policy_gives_what_it_gives_in_a_deployment_and_one_episode_for_each_of_lerobots(
+    name, file
+):
+    hand = load_hand(file) if file else HPAC
+    seen = Observer("HPAC-Grasp-v0", object_of(CAN), hand)
+    policy = load_policy(name, seen)
     pose, _ = Fixed(pose_of([0.0485, 0, 0.12], "here")).latest()
     expected = []
     memory = None
@@ -195,7 +205,7 @@ def test_a_policy_gives_what_it_gives_in_a_deployment_and_one_episode_for_each_o
         given, memory = policy.predict(seen.see(pose), memory, np.array([step == 0]))
         expected.append(np.clip(given, -1, 1))
         seen.sent(streamed_servo(seen.servo, seen.command(expected[-1]), 0.05))
-    hand = made("hpac_policy", policy="scripted", object=CAN, pose=PLACE, hold=0.1)
+    hand = made("hpac_policy", policy=name, object=CAN, pose=PLACE, hold=0.1, hand=file)
     hand.connect()
     found = [values(hand) for _ in range(seen.steps)]
     assert np.array(found) == pytest.approx(np.array(expected), abs=1e-6)
@@ -219,9 +229,35 @@ def test_an_action_that_is_no_number_ends_it(monkeypatch):
     hand.disconnect()
 
 
-def test_a_policy_that_places_the_wrist_is_refused():
+@pytest.mark.parametrize("policy", ["grasp-type", "grasp-any-wrist"])
+def test_a_policy_that_places_the_wrist_is_refused(policy):
     with pytest.raises(DeployError, match="places the wrist"):
-        made("hpac_policy", policy="grasp-type", object=CAN, pose=PLACE).connect()
+        made("hpac_policy", policy=policy, object=CAN, pose=PLACE).connect()
+
+
+@pytest.mark.parametrize("first", ["robot", "teleoperator"])
+@pytest.mark.parametrize(("seen", "height"), [(CAN, [0.05]), (None, []), ("sphere:0.03", [0.03])])
+def test_robot_and_teleoperator_share_a_camera_and_the_object_before_it(
+    monkeypatch, first, seen, height
+):
+    tops = []
+
+    def tags(device, lens, top):
+        tops.append(top)
+        return Fixed(pose_of([0.0485, 0, 0.12], "here"))
+
+    monkeypatch.setattr(poses, "Device", lambda *_: None)
+    monkeypatch.setattr(poses, "Tags", tags)
+    with HostBoard() as board:
+        robot = Hpac(HpacConfig(port=board.port, pose="camera:0", object=seen))
+        both = [robot, made("hpac_policy", policy="scripted", object=CAN, pose="camera:0")]
+        refused = nullcontext() if seen == CAN else pytest.raises(PoseError, match="one object for")
+        with refused:
+            for one in both if first == "robot" else both[::-1]:
+                one.connect()
+        for one in both:
+            one.disconnect()
+    assert tops == (height if first == "robot" else [0.05])
 
 
 def test_names_of_actions_are_those_of_the_servos():
