@@ -16,7 +16,7 @@ from typing import Any, NoReturn
 sys.modules.setdefault("hpac", sys.modules[__name__])  # read by hpac_gym, also for python -m hpac
 
 from hpac_gym import __version__  # noqa: E402
-from hpac_gym.command import Parser, run  # noqa: E402
+from hpac_gym.command import USAGE_ERROR, Parser, run  # noqa: E402
 
 
 @dataclass(frozen=True, slots=True)
@@ -219,6 +219,9 @@ def parser_of(argv: Sequence[str]) -> Parser:
     parsers = {row.name: subparsers.add_parser(row.name, description=row.help) for row in COMMANDS}
     name = next((word for word in argv if not word.startswith("-")), None)
     row = next((row for row in COMMANDS if row.name == name), None)
+    if not argv:
+        parser.print_help(sys.stderr)
+        parser.exit(USAGE_ERROR)
     if row is not None:
         resolve_name(row.target)(parsers[row.name])
     elif name is not None:

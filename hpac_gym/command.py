@@ -60,6 +60,11 @@ def say(as_json: bool, text: str, **facts: Any) -> None:
     print(json.dumps(facts, ensure_ascii=False) if as_json else text, flush=True)
 
 
+def plain_warnings() -> None:
+    """From now on a warning of this process is one line."""
+    warnings.formatwarning = lambda message, *_: f"warning: {message}\n"
+
+
 def run(command: Callable[[], int], unheard: bool = False) -> int:
     """Run a command and return its exit status; without a standard output only if `unheard`.
 
@@ -67,7 +72,7 @@ def run(command: Callable[[], int], unheard: bool = False) -> int:
     and `USAGE_ERROR`; Ctrl-C gives `INTERRUPTED`. A warning is one line too. Any other exception is
     a bug and keeps its traceback.
     """
-    warnings.formatwarning = lambda message, *_: f"warning: {message}\n"
+    plain_warnings()
     if sys.stderr is None:  # or prints to it go to standard output
         sys.stderr = open(os.devnull, "w")  # noqa: SIM115 - for as long as the program runs
     if sys.stdout is None and not unheard:

@@ -35,7 +35,9 @@ PAUSE = 1.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of `hpac show`."""
-    parser.add_argument("--policy", help=NAMES)
+    parser.add_argument(
+        "--policy", help=f"{NAMES} (default: a shipped one of --env; scripted with --grasp)"
+    )
     parser.add_argument("--normalize", metavar="FILE", help=NORMALIZE)
     add_env_options(parser, "id, also module:My-v0 (default: a policy file's own)")
     parser.add_argument("--seed", type=whole_number(0), default=HELD_OUT_SEED, help="of the first")

@@ -132,6 +132,12 @@ def test_a_command_runs_in_a_folder_that_was_deleted(tmp_path):
     assert "usage: hpac estop" in done.stdout
 
 
+def test_without_a_command_the_list_is_told():
+    done = hpac()
+    assert (done.returncode, done.stdout) == (2, "")
+    assert all(f"  {row.name} " in done.stderr for row in COMMANDS)
+
+
 def test_the_version_is_that_of_the_package():
     assert hpac("--version").stdout == f"hpac_gym {hpac_gym.__version__}\n"
     assert metadata.version("hpac_gym") == hpac_gym.__version__
@@ -140,7 +146,6 @@ def test_the_version_is_that_of_the_package():
 @pytest.mark.parametrize(
     ("words", "named"),
     [
-        ([], "COMMAND"),
         (["nonsense"], "error: no command 'nonsense' (see hpac --help)"),
         (["shwo"], "error: no command 'shwo', did you mean 'show'? (see hpac --help)"),
         (["--polcy"], "(see hpac --help)"),

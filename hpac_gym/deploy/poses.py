@@ -143,10 +143,13 @@ class Packets(Source):
         self._socket.settimeout(0.1)  # before the thread looks whether the port is closed
         try:
             self._socket.bind(("127.0.0.1", port))
-        except (OSError, OverflowError) as error:
+        except OverflowError:
             self._socket.close()
-            reason = getattr(error, "strerror", None) or error
-            raise PoseError(f"--pose udp:{port}: {reason}; does another deployment run?") from None
+            raise PoseError(f"--pose udp:{port}: a port is at most 65535") from None
+        except OSError as error:
+            self._socket.close()
+            reason = f"{error.strerror}; does another deployment run?"
+            raise PoseError(f"--pose udp:{port}: {reason}") from None
         self.port = self._socket.getsockname()[1]
         self.where = f"udp:{self.port}"
         self._thread = Thread(target=self._run, name="hpac poses", daemon=True)

@@ -173,7 +173,7 @@ def check_num_envs(num_envs: int) -> None:
         ParameterError: It is not.
     """
     if isinstance(num_envs, bool) or not (isinstance(num_envs, int | np.integer) and num_envs >= 1):
-        raise ParameterError(f"num_envs = {num_envs} must be a whole number of at least 1")
+        raise ParameterError(f"num_envs = {num_envs!r} must be a whole number of at least 1")
 
 
 def setups_of(

@@ -241,8 +241,9 @@ def run(args: argparse.Namespace) -> int:
     """Run the command: evaluate every cell, or check results files."""
     if args.check:
         return check(args.check, args.json)
-    if not (args.env and args.policy and args.out):
-        raise ResultsError("an environment, --policy and --out are needed, or --check")
+    needed = {"an environment": args.env, "--policy": args.policy, "--out": args.out}
+    if missing := [name for name, given in needed.items() if not given]:
+        raise ResultsError(f"{' and '.join(missing)} must be given, or --check alone")
     results = judge_all(args)
     print(json.dumps(results) if args.json else table(results))
     return 0

@@ -66,7 +66,8 @@ def _refusing(env_id: str, options: Mapping[str, Any]) -> Iterator[None]:
         raise EnvError(f"no environment '{env_id}': {error}") from None
     except TypeError as error:
         reason = f"{error}".partition(" was raised from")[0]
-        raise EnvError(f"no environment '{env_id}' with {', '.join(options)}: {reason}") from None
+        given = ", ".join(name for name in options if name != "render_mode")
+        raise EnvError(f"no environment '{env_id}' with {given}: {reason}") from None
 
 
 def versions(*more: str) -> dict[str, str]:

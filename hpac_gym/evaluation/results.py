@@ -46,7 +46,7 @@ def read(path: Path) -> Results:
     try:
         results = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
-        raise ResultsError(f"cannot read results file '{path}': {error}") from None
+        raise ResultsError(f"cannot read results file '{path}': {error.strerror}") from None
     except ValueError:
         results = None
     if not isinstance(results, dict):

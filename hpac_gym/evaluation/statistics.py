@@ -90,9 +90,7 @@ def rate_text(successes: int, trials: int) -> str:
     return f"{successes / trials:.1%} ({low:.1%} … {high:.1%})"
 
 
-def paired_difference(
-    first: Iterable[bool], second: Iterable[bool]
-) -> tuple[float, float, float]:
+def paired_difference(first: Iterable[bool], second: Iterable[bool]) -> tuple[float, float, float]:
     """Difference of the success rates of two over the same episodes: estimate, lower and upper
     bound.
 

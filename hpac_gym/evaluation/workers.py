@@ -11,6 +11,7 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
+from hpac_gym.command import plain_warnings
 from hpac_gym.errors import HpacError
 from hpac_gym.progress import progress
 
@@ -107,6 +108,7 @@ def _interrupts_held() -> Iterator[None]:
 
 
 def _start(prepare: Callable[..., None] | None, arguments: tuple[Any, ...]) -> None:
+    plain_warnings()
     threading.Thread(target=_end_with_parent, daemon=True).start()
     if prepare:
         prepare(*arguments)

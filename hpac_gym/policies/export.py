@@ -31,9 +31,11 @@ def export(
 
     Raises:
         PolicyError: `path` is not a policy file, `evaluation` is not an evaluation of this policy,
-            or `film` is not an MP4 file.
+            `film` is not an MP4 file, or the folder holds an exported policy.
         OutputError: The folder cannot be written.
     """
+    if (out / CARD).exists():
+        raise PolicyError(f"'{out}' holds an exported policy already: name another folder")
     policy = read_policy(path)
     judged = None if evaluation is None else _evaluation(evaluation, policy.about["sha256"])
     video = b"" if film is None else _film(film)

@@ -16,8 +16,8 @@ from hpac_gym.policies.policy_file import SHIPPED, PolicyFile, policy_path, read
 from hpac_gym.policies.sb3 import about_model, is_model, read_model
 
 NAMES = (
-    f"{', '.join([*BASELINES, *SHIPPED])}, a policy file (.hpac), a model of Stable-Baselines3 (.zip), "
-    "an exported folder, module:function or module:function:text"
+    f"{', '.join(BASELINES)}, a shipped policy ({', '.join(SHIPPED)}), or FILE.hpac, MODEL.zip, FOLDER or "
+    "MODULE:FUNCTION[:TEXT], as docs/train.md tells"
 )
 """What `load_policy` loads, for the help of commands."""
 NORMALIZE = "VecNormalize statistics of a Stable-Baselines3 model (default: a file beside it); none: it has none"
@@ -44,7 +44,7 @@ def load_policy(name: str, env: gymnasium.Env[Any, Any], normalize: str | None =
         return baseline
     path = policy_path(name)
     if path.is_dir():
-        return read_onnx(path, env)
+        return read_onnx(path, env, needed_options(name))
     if is_model(path):
         return read_model(path, env, normalize)
     if path.exists():
@@ -125,6 +125,7 @@ def policy_file_for(name: str, env: gymnasium.Env[Any, Any]) -> PolicyFile:
             policy.about.get("made_for", {}),
             policy.sizes,
             env,
+            needed_options(name),
         )
     except (TypeError, ValueError, AttributeError) as error:
         if isinstance(error, PolicyError):

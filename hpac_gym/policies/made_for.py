@@ -5,6 +5,7 @@ environment.
 import hashlib
 import warnings
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any
 
 import gymnasium
@@ -72,13 +73,14 @@ def difference(file: Mapping[str, Any], here: Mapping[str, Any]) -> str | None:
 
 
 def other_hand(file: Mapping[str, Any], env: gymnasium.Env[Any, Any]) -> str | None:
-    """A remark that a policy was made with the model of another hand; None if it was not."""
+    """A remark that a policy was made with the model of another hand; None if it was not, or with
+    the nominal one, whose policies are for calibrated hands too.
+    """
     made_with = file.get("hand_sha256")
     hand = _model(env)
-    if made_with in (None, _digest(hand_to_toml(hand))):
+    if made_with in (None, *(_digest(hand_to_toml(one)) for one in (hand, HPAC))):
         return None
-    was = "the nominal hand" if made_with == _digest(hand_to_toml(HPAC)) else "another hand"
-    return f"was made with {was}, and acts here with the model of '{hand.name}'"
+    return f"was made with another hand, and acts here with the model of '{hand.name}'"
 
 
 def id_of(env: gymnasium.Env[Any, Any]) -> str:
@@ -92,6 +94,7 @@ def require_fit(
     file: Mapping[str, Any],
     sizes: tuple[int, int],
     env: gymnasium.Env[Any, Any],
+    needs: Mapping[str, Any] = MappingProxyType({}),
 ) -> None:
     """Refuse a policy that was made for another interface; warn of one made with another hand.
 
@@ -102,6 +105,7 @@ def require_fit(
         file: its `made_for`.
         sizes: numbers of values that it observes, and of its actions.
         env: the environment in which it is to act.
+        needs: options without which its sizes are others.
 
     Raises:
         PolicyError: It was made for another environment, rate, action or observation.
@@ -114,7 +118,8 @@ def require_fit(
     if (observed := vector_size(env.observation_space)) is None:
         raise PolicyError(f"{what} takes a vector, {here} observes {env.observation_space}")
     if sizes != (wanted := (observed, vector_size(env.action_space))):
-        raise PolicyError(f"{what} maps {sizes} values, {here} needs {wanted}")
+        told = "".join(f"; it needs {name}={value!r}" for name, value in needs.items())
+        raise PolicyError(f"{what} maps {sizes} values, {here} needs {wanted}{told}")
     if remark := other_hand(file, env):
         warnings.warn(f"{what} {remark}", stacklevel=3)
 

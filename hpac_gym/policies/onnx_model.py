@@ -1,6 +1,8 @@
 """A policy as an ONNX model, written and read."""
 
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import gymnasium
@@ -80,8 +82,10 @@ def onnx_model(policy: PolicyFile) -> Any:
     return model
 
 
-def read_onnx(folder: Path, env: gymnasium.Env[Any, Any]) -> LearnedPolicy:
-    """Load an exported policy for an environment.
+def read_onnx(
+    folder: Path, env: gymnasium.Env[Any, Any], needs: Mapping[str, Any] = MappingProxyType({})
+) -> LearnedPolicy:
+    """Load an exported policy for an environment; `needs` are the options that it needs.
 
     Raises:
         PolicyError: A file is missing or damaged, or the policy was made for another layout or
@@ -111,7 +115,7 @@ def read_onnx(folder: Path, env: gymnasium.Env[Any, Any]) -> LearnedPolicy:
             raise ValueError(f"the inputs of its model are {', '.join(inputs)}, not observation")
         ends = session.get_inputs()[0].shape[1], session.get_outputs()[0].shape[1]
         sizes = sizes_of(ends, closures, moves)
-        require_fit(f"exported policy '{folder}'", told["env_id"], made, sizes, env)
+        require_fit(f"exported policy '{folder}'", told["env_id"], made, sizes, env, needs)
     except PolicyError:
         raise
     except Exception as error:  # a damaged file can make its reader raise anything

@@ -241,5 +241,6 @@ def _figures(shown: Shown) -> str:
     rows = ["| joint | angle [rad] | tendon [N] |", "| --- | --- | --- |"]
     for i, servo in enumerate(SERVOS[: len(DIGITS)]):
         pull = "" if shown.tension is None else f"{abs(shown.tension[i]):.1f}"
-        rows.append(f"| {servo} | {shown.joint_pos[JOINT_INDEX[servo]]:.2f} | {pull} |")
+        angle = shown.joint_pos[JOINT_INDEX[servo]].round(2) + 0.0  # no −0
+        rows.append(f"| {servo} | {angle:.2f} | {pull} |")
     return "\n".join(rows) + f"\n\n{shown.text}"

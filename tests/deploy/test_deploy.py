@@ -197,6 +197,8 @@ def test_a_port_that_is_taken_names_the_pose_and_a_likely_cause():
     with pytest.raises(PoseError, match=says):
         source_of(f"udp:{packets.port}")
     packets.close()
+    with pytest.raises(PoseError, match=r"udp:99999: a port is at most 65535$"):
+        source_of("udp:99999")
 
 
 def test_a_hand_is_armed_once_there_are_pose_and_action_and_what_is_waited_for_is_told(

@@ -334,7 +334,7 @@ def test_the_hash_changes_with_the_objects_and_the_splits(monkeypatch):
             [TINY, "--policy", "random", "--budget", "1e5", "--out", "x"],
             "contains no {seed}: a trained method needs 5 runs",
         ),
-        ([TINY, "--policy", "random"], "an environment, --policy and --out are needed, or --check"),
+        ([TINY, "--policy", "random"], "--out must be given, or --check alone"),
         (["--check", "no/such.json"], "cannot read results file 'no/such.json'"),
         (["--check", __file__], "test_benchmark.py' is not a results file: it contains no JSON"),
         ([TINY, "--policy", "no/such.hpac", "--out", "x"], "no policy file 'no/such.hpac'"),

@@ -108,6 +108,13 @@ def test_it_acts_in_the_environment_as_the_policy_file_does(policy, folder, env)
 def test_a_policy_that_needs_options_gives_them_when_it_is_exported_too(name, tmp_path):
     export(SHIPPED[name], tmp_path)
     assert needed_options(str(tmp_path)) == needed_options(name)
+    with (
+        gymnasium.make(read_policy(name).about["env_id"]) as env,
+        pytest.raises(PolicyError, match=r"; it needs (obs='load'|wrist='free')"),
+    ):
+        load_policy(str(tmp_path), env)
+    with pytest.raises(PolicyError, match="holds an exported policy already: name another"):
+        export(SHIPPED["grasp"], tmp_path)
     words = ["--policy", str(tmp_path), "--episodes", "1", "--workers", "1", "--no-baselines"]
     assert called(evaluate, *words) == 0
     page = (tmp_path / "README.md").read_text()
@@ -158,13 +165,12 @@ def test_a_policy_of_a_goal_environment_is_exported_with_its_goals(policy, tmp_p
     )
 
 
-def test_another_hand_is_a_remark_and_another_layout_a_refusal(folder, env):
+def test_a_calibrated_hand_is_taken_and_another_layout_a_refusal(folder, env):
     other = gymnasium.make(
         "HPAC-Grasp-v0", engine="mujoco", model=changed_hand(HPAC, np.full(5, 0.9))
     )
     for load in (lambda: read_onnx(folder, other), lambda: load_policy("grasp", other)):
-        with pytest.warns(UserWarning, match="was made with the nominal hand, and acts here with"):
-            policy = load()
+        policy = load()
         assert policy.predict(other.reset(seed=0)[0])[0].shape == (6,)
     other.close()
     card = json.loads((folder / "card.json").read_text())
@@ -173,6 +179,9 @@ def test_another_hand_is_a_remark_and_another_layout_a_refusal(folder, env):
         read_onnx(folder, env)
     (folder / "card.json").write_text(json.dumps(card | {"env_id": "HPAC-PickPlace-v0"}))
     with pytest.raises(PolicyError, match="was trained on HPAC-PickPlace-v0, not on HPAC-Grasp-v0"):
+        read_onnx(folder, env)
+    (folder / "card.json").write_text(json.dumps(card | {"hand_sha256": "0" * 64}))
+    with pytest.warns(UserWarning, match="was made with another hand, and acts here with"):
         read_onnx(folder, env)
     card["observation"].pop(0)
     (folder / "card.json").write_text(json.dumps(card))
