@@ -21,7 +21,6 @@ from hpac_gym.bridge.protocol import (
     name_of,
 )
 from hpac_gym.model import HPAC, SERVOS, Hand
-from hpac_gym.model.maps import is_calibrated
 
 COUNTERS = (
     "accepted",
@@ -96,7 +95,7 @@ class HandInfo:
                 firmware match.
         """
         as_fast = np.array_equal(hand.servo_rate_limit, HPAC.servo_rate_limit)
-        nominal = [HPAC] if is_calibrated(hand) and as_fast else []
+        nominal = [HPAC] if hand.is_calibrated and as_fast else []
         for built_for in (hand, *nominal):
             if self.limits_hash == limits_hash(built_for, self.trim_ns, self.reversed_mask):
                 return built_for

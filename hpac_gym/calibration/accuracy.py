@@ -20,7 +20,6 @@ from hpac_gym.model import (
     rigid_joints_from_servo,
 )
 from hpac_gym.model.checks import Array
-from hpac_gym.model.maps import is_calibrated
 from hpac_gym.model.settled import settled_joints_from_servo
 
 if TYPE_CHECKING:
@@ -52,7 +51,7 @@ def residuals(points: Points, hand: Hand = HPAC) -> dict[str, Residuals]:
     not fitted to them.
     """
     rigid = rigid_joints_from_servo(points.servo, hand)
-    compensated = settled_joints_from_servo if is_calibrated(hand) else elastic_joints_from_servo
+    compensated = settled_joints_from_servo if hand.is_calibrated else elastic_joints_from_servo
     elastic = compensated(points.servo, hand)
     by_joint = {}
     for servo in range(len(SERVOS)):

@@ -13,6 +13,7 @@ from hpac_gym.model.checks import (
     as_finite_array,
     as_finite_vector,
 )
+from hpac_gym.model.elasticity import row_by_row
 from hpac_gym.model.files import HPAC
 from hpac_gym.model.joints import JOINTS, SERVOS
 from hpac_gym.model.parameters import Hand, unchecked_servo_from_synergy
@@ -109,7 +110,7 @@ def synergy_from_joints(joint_pos: ArrayLike, hand: Hand = HPAC) -> Array:
         ShapeError: Wrong shape, NaN or infinity.
     """
     joint_pos = as_finite_array(joint_pos, len(JOINTS), "joint_pos")
-    return joint_pos @ hand.synergy_projection.T
+    return row_by_row(joint_pos, hand.synergy_projection)
 
 
 def servo_from_joints(joint_pos: ArrayLike, hand: Hand = HPAC) -> Array:
@@ -136,9 +137,7 @@ def servo_from_joints(joint_pos: ArrayLike, hand: Hand = HPAC) -> Array:
 
 
 def _servo_from_admissible_joints(joint_pos: Array, hand: Hand) -> Array:
-    # One product per row: BLAS rounds rows of a larger product differently, and results must not
-    # depend on the batch size.
-    synergy = (joint_pos[..., None, :] @ hand.synergy_projection.T)[..., 0, :]
+    synergy = row_by_row(joint_pos, hand.synergy_projection)
     np.maximum(synergy, hand.synergy_min, out=synergy)
     np.minimum(synergy, hand.synergy_max, out=synergy)
     return unchecked_servo_from_synergy(synergy, hand)

@@ -49,7 +49,17 @@ def elastic_deviation(joint_pos: ArrayLike, hand: Hand = HPAC) -> Array:
     Raises:
         ShapeError: Wrong shape, NaN or infinity.
     """
-    return as_finite_array(joint_pos, len(JOINTS), "joint_pos") @ hand.deviation_matrix.T
+    joint_pos = as_finite_array(joint_pos, len(JOINTS), "joint_pos")
+    return row_by_row(joint_pos, hand.deviation_matrix)
+
+
+def row_by_row(vectors: Array, matrix: Array) -> Array:
+    """Products of a matrix, shape (m, n), with vectors, shape (..., n) → (..., m).
+
+    One product per row: BLAS rounds rows of a larger product differently, and results must not
+    depend on the batch size."""
+    product: Array = (vectors[..., None, :] @ matrix.T)[..., 0, :]
+    return product
 
 
 def joints_from_synergy(synergy: ArrayLike, hand: Hand = HPAC) -> Array:

@@ -87,7 +87,7 @@ def hand_to_toml(hand: Hand) -> str:
         lines += [f"{key} = {list(getattr(digit, key))!r}" for key in _LISTS]
     lines += ["", "[workspace]"]
     lines += [f"{joint} = {list(bounds)!r}" for joint, bounds in hand.workspace.items()]
-    if hand.calibration != Calibration():
+    if hand.is_calibrated:
         lines += ["", "[calibration]", f"servo_zero = {list(hand.calibration.servo_zero)!r}"]
         lines += [
             f"{part}_friction = {[getattr(item, part) for item in hand.calibration.friction]!r}"

@@ -13,7 +13,6 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from hpac_gym.model.calibration import Calibration
 from hpac_gym.model.checks import Array
 from hpac_gym.model.command import servo_from_action, synergy_from_action
 from hpac_gym.model.files import HPAC
@@ -28,14 +27,11 @@ from hpac_gym.model.settled import (
 from hpac_gym.model.transmission import unchecked_synergy_from_servo
 
 POINTS = 513
+"""Points of a table; the interpolation is within 3e-5 rad of the exact map, and within 3e-3 rad where a
+joint leaves its stop.
+"""
 _KNOWN_MAX = 256  # hands whose tables are kept
-"""Points of a table; the interpolation is within 2e-6 rad of the exact map."""
 _DIRECTIONS = (FLEXION, EXTENSION)
-
-
-def is_calibrated(hand: Hand) -> bool:
-    """Whether a hand file has a `[calibration]`, so that commands invert the whole file."""
-    return hand.calibration != Calibration()
 
 
 class CommandMap:
@@ -60,7 +56,7 @@ class CommandMap:
         self._known: dict[int, tuple[Hand, Array, Array]] = {}
         """Tables by the id of the hand, which is kept beside them, so that no other gets its id."""
         self.inverts_files = False
-        if is_calibrated(hand):
+        if hand.is_calibrated:
             self.take(range(count), [hand] * count)
 
     @property
@@ -112,7 +108,8 @@ class CommandMap:
             return unchecked_servo_from_synergy(np.asarray(synergy, dtype=float), self.hands[0])
         board = self._board
         share = (synergy - board.synergy_min) / (board.synergy_max - board.synergy_min)
-        return _interpolated(self._servo[places], share, flexing, _SERVO_OF_SERVO)
+        servo = _interpolated(self._servo[places], share, flexing, _SERVO_OF_SERVO)
+        return np.clip(servo, board.servo_min, board.servo_max)
 
     def joints_from_servo(self, servo: Array, flexing: Array) -> Array:
         """Joint angles that the models predict for servo angles, shape (n, 6) → (n, 15) [rad]."""
@@ -155,14 +152,7 @@ def _tables(hand: Hand, board: Hand) -> tuple[Array, Array]:
     synergy = np.linspace(board.synergy_min, board.synergy_max, POINTS)
     servo = np.linspace(board.servo_min, board.servo_max, POINTS)
     return (
-        np.stack(
-            [
-                np.clip(
-                    settled_servo_from_synergy(synergy, hand, way), board.servo_min, board.servo_max
-                ).T
-                for way in _DIRECTIONS
-            ]
-        ),
+        np.stack([settled_servo_from_synergy(synergy, hand, way).T for way in _DIRECTIONS]),
         np.stack([settled_joints_from_servo(servo, hand, way).T for way in _DIRECTIONS]),
     )
 

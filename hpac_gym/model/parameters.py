@@ -92,12 +92,16 @@ class Digit:
         """Names of the joints that the tendon couples, root first."""
         return digit_joints(self.name)
 
+    def chord(self, root: Array | float) -> Array:
+        """Distance between the two guides [m] at angles of the root joint [rad], any shape. Eq. (3)."""
+        return chord_from_included(
+            self.d1**2 + self.d2**2, 2 * self.d1 * self.d2, self.alpha - root
+        )
+
     @property
     def rest_chord(self) -> float:
-        """L₀, the distance between the two guides at full extension [m]. Eq. (3)."""
-        return float(
-            chord_from_included(self.d1**2 + self.d2**2, 2 * self.d1 * self.d2, self.alpha)
-        )
+        """L₀, the distance between the two guides at full extension [m]."""
+        return float(self.chord(0.0))
 
     @property
     def rigid_ratio(self) -> Array:
@@ -209,6 +213,11 @@ class Hand:
         plain = {f.name: getattr(self, f.name) for f in fields(self)}
         plain |= {name: dict(plain[name]) for name in ("digits", "workspace", "sources")}
         return partial(Hand, **plain), ()
+
+    @property
+    def is_calibrated(self) -> bool:
+        """Whether its file has a `[calibration]`, so that commands invert the whole file."""
+        return self.calibration != Calibration()
 
     # The workspace, as arrays ------------------------------------------------
 

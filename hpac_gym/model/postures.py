@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hpac_gym.errors import HpacError
-from hpac_gym.model.calibration import Calibration
 from hpac_gym.model.checks import Array, as_finite_vector
 from hpac_gym.model.command import servo_from_joints
 from hpac_gym.model.elasticity import elastic_joints_from_servo
@@ -111,10 +110,9 @@ def reach(target_joint_pos: ArrayLike, hand: Hand = HPAC) -> Reach:
         ShapeError: Wrong shape, NaN or infinity.
     """
     target = as_finite_vector(target_joint_pos, len(JOINTS), "target_joint_pos")
-    calibrated = hand.calibration != Calibration()
     inverse, forward = (
         (settled_servo_from_joints, settled_joints_from_servo)
-        if calibrated
+        if hand.is_calibrated
         else (servo_from_joints, elastic_joints_from_servo)
     )
     servo = inverse(clip_to_workspace(target, hand), hand)

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from hpac_gym.model.calibration import Friction
 from hpac_gym.model.checks import Array, as_bounded_array, as_finite_array
 from hpac_gym.model.files import HPAC
-from hpac_gym.model.guides import chord_from_included, included_from_chord
+from hpac_gym.model.guides import included_from_chord
 from hpac_gym.model.joints import JOINT_INDEX, JOINTS, SERVOS
 from hpac_gym.model.parameters import Digit, Hand
 
@@ -21,7 +21,8 @@ FLEXION = 1.0
 EXTENSION = -1.0
 NO_FRICTION = Friction()
 _TINY = 1e-9  # avoids division by zero where a folded digit has no moment arm
-_ITERATIONS = 6  # fixed-point iterations, each a contraction by less than 0.05
+_ITERATIONS = 6
+"""Fixed-point iterations, each a contraction by less than 0.05 for drives of at least 2.5e4 N/m."""
 _CMC = len(SERVOS) - 1
 
 
@@ -155,9 +156,8 @@ def _drive_stretch(root: Array, digit: Digit, statics: DigitStatics) -> Array:
     """Stretch of the driving tendon [m] that holds the digit with its root joint at an angle
     [rad].
     """
-    included = digit.alpha - root
-    chord = chord_from_included(digit.d1**2 + digit.d2**2, 2 * digit.d1 * digit.d2, included)
-    arm = np.maximum(digit.d1 * digit.d2 * np.sin(included), _TINY) / np.maximum(chord, _TINY)
+    arm = digit.d1 * digit.d2 * np.sin(digit.alpha - root)
+    arm = np.maximum(arm, _TINY) / np.maximum(digit.chord(root), _TINY)
     tension = np.maximum(statics.load_slope * root + statics.load_offset, 0.0) / arm
     return np.minimum(tension, digit.tension_limit) / digit.drive_stiffness
 
@@ -240,12 +240,8 @@ def settled_servo_from_synergy(
     for column, digit in enumerate(hand.digits.values()):
         statics = digit_statics(digit, hand.calibration.friction[column], direction)
         root = synergy[..., column]
-        chord = chord_from_included(
-            digit.d1**2 + digit.d2**2, 2 * digit.d1 * digit.d2, digit.alpha - root
-        )
-        wound = (
-            digit.rest_chord - chord + np.where(root > 0, _drive_stretch(root, digit, statics), 0.0)
-        )
+        stretch = np.where(root > 0, _drive_stretch(root, digit, statics), 0.0)
+        wound = digit.rest_chord - digit.chord(root) + stretch
         servo[..., column] = wound / digit.servo_radius
     servo[..., _CMC] = synergy[..., _CMC] / hand.cmc_gain
     return servo - hand.calibration.servo_zero

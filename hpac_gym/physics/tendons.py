@@ -27,6 +27,7 @@ from numpy.typing import ArrayLike
 
 from hpac_gym.model import JOINT_INDEX, JOINTS, SERVO_INDEX, SERVOS, Digit, Hand
 from hpac_gym.model.checks import Array
+from hpac_gym.model.guides import chord_from_included
 from hpac_gym.physics.settings import Damping
 
 _CMC = SERVO_INDEX["thumb_cmc"]
@@ -67,7 +68,7 @@ def spring_rows(hand: Hand) -> tuple[Array, Array]:
 def drive_arms(hand: Hand) -> Array:
     """Moment arms of the drives on their flexed root joints, shape (5,) [m]."""
     included = hand.guide_alpha - hand.synergy_max[:_CMC]
-    chord = np.sqrt(hand.guide_sum - hand.guide_product * np.cos(included))
+    chord = chord_from_included(hand.guide_sum, hand.guide_product, included)
     return 0.5 * hand.guide_product * np.sin(included) / chord
 
 

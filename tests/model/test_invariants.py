@@ -209,6 +209,12 @@ def test_any_leading_shape(shape):
         assert servo[index] == pytest.approx(servo_from_joints(posture[index]), abs=1e-14)
 
 
+@pytest.mark.parametrize("function", [synergy_from_joints, elastic_deviation])
+def test_a_product_is_the_same_to_the_bit_in_any_batch(function):
+    postures = np.random.default_rng(4).uniform(HPAC.joint_min, HPAC.joint_max, (200, 15))
+    np.testing.assert_array_equal(function(postures), [function(one) for one in postures])
+
+
 @given(synergies, synergies)
 def test_move_duration_is_the_slowest_servo_at_its_rate(start, end):
     start = servo_from_synergy(start)

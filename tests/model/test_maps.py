@@ -8,8 +8,13 @@ import pytest
 from hpac_gym.model import HPAC, SERVOS, elastic_joints_from_servo, servo_from_action
 from hpac_gym.model.calibration import Calibration, Friction
 from hpac_gym.model.joints import JOINT_INDEX
-from hpac_gym.model.maps import CommandMap
-from hpac_gym.model.settled import settled_joints_from_servo
+from hpac_gym.model.maps import POINTS, CommandMap
+from hpac_gym.model.settled import (
+    EXTENSION,
+    FLEXION,
+    settled_joints_from_servo,
+    settled_servo_from_synergy,
+)
 
 ZEROS = (-0.08, 0.03, -0.05, 0.02, -0.1, 0.04)
 CALIBRATED = replace(
@@ -55,6 +60,18 @@ def test_a_command_never_leaves_the_range_that_the_board_was_flashed_with():
         servo = CommandMap(CALIBRATED, 2).servo_from_action(every, np.full((2, 6), way))
         assert (servo >= HPAC.servo_min).all()
         assert (servo <= HPAC.servo_max).all()
+
+
+@pytest.mark.parametrize("way", [FLEXION, EXTENSION])
+def test_the_tables_are_as_close_to_the_exact_map_as_they_say(way):
+    """Also where the board's range clips a servo; a finger leaves its stop in the first cell."""
+    synergy = np.random.default_rng(2).uniform(HPAC.synergy_min, HPAC.synergy_max, (4000, 6))
+    exact = settled_servo_from_synergy(synergy, CALIBRATED, way)
+    exact = np.clip(exact, HPAC.servo_min, HPAC.servo_max)
+    told = CommandMap(CALIBRATED, 4000).servo_from_synergy(synergy, np.full((4000, 6), way > 0))
+    first = synergy < HPAC.synergy_max / (POINTS - 1)
+    assert np.abs(told - exact)[~first].max() < 3e-5
+    assert np.abs(told - exact)[first].max() < 3e-3
 
 
 def test_a_policy_sees_the_servos_of_the_nominal_hand_at_the_predicted_synergy():
