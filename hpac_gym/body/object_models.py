@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from hpac_gym.body.geometry import rotation_about
-from hpac_gym.body.solids import Solid, bounds_of
+from hpac_gym.body.solids import Solid, bounds_of, inertia_of_point
 from hpac_gym.errors import ParameterError
 from hpac_gym.model.checks import Array
 
@@ -116,9 +116,7 @@ class ObjectModel:
         total = np.zeros((3, 3))
         for solid in self.solids:
             offset = solid.center - self.center_of_mass
-            total += solid.inertia + solid.mass * (
-                offset @ offset * np.eye(3) - np.outer(offset, offset)
-            )
+            total += solid.inertia + inertia_of_point(solid.mass, offset)
         return total
 
 

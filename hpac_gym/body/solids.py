@@ -117,6 +117,13 @@ def bounds_of(solids: Iterable[Solid]) -> tuple[Array, Array]:
     return np.min(lows, axis=0), np.max(highs, axis=0)
 
 
+def inertia_of_point(mass: float, place: Array) -> Array:
+    """Inertia of a point mass [kg] at a place, shape (3,) [m], about the origin, shape (3, 3)
+    [kg·m²].
+    """
+    return mass * (place @ place * np.eye(3) - np.outer(place, place))
+
+
 def principal_inertia(
     kind: str, mass: float, size: tuple[float, float, float], inner: float = 0.0
 ) -> list[float]:

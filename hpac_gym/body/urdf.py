@@ -11,7 +11,7 @@ from xml.etree import ElementTree as Xml
 import numpy as np
 
 from hpac_gym.body.geometry import Array, Box, Capsule, Geometry, Phalanx, Vector
-from hpac_gym.body.solids import principal_inertia
+from hpac_gym.body.solids import inertia_of_point, principal_inertia
 from hpac_gym.model import HPAC, JOINTS
 
 HAND_URDF = "hpac_hand.urdf"
@@ -70,9 +70,7 @@ def solid_inertia(solids: tuple[Solid, ...], mass: float) -> tuple[Array, Array]
     center = masses @ centers / mass
     inertia = np.zeros((3, 3))
     for solid, part, offset in zip(solids, masses, centers - center, strict=True):
-        inertia += _inertia(solid, part) + part * (
-            offset @ offset * np.eye(3) - np.outer(offset, offset)
-        )
+        inertia += _inertia(solid, part) + inertia_of_point(part, offset)
     return center, inertia
 
 
