@@ -131,10 +131,10 @@ def run(arguments: argparse.Namespace) -> int:
 
 def named(identified: Identification, base: Hand, record: str) -> Hand:
     """The identified hand with a name and the sources of its numbers."""
-    sources = {
-        **base.sources,
-        **dict.fromkeys(_IDENTIFIED, f"identified from {record}, about {base.name}"),
-    }
+    fitted = [name for name in _IDENTIFIED if name != "cmc_gain" or identified.cmc]
+    kept = ", ".join(name for name in base.digits if name in identified.kept)
+    source = f"identified from {record}, about {base.name}" + f"; {kept} as there" * bool(kept)
+    sources = {**base.sources, **dict.fromkeys(fitted, source)}
     for field in ("d1", "spring_stiffness", "tendon_stiffness"):
         sources[field] = f"of {base.name}: angles do not depend on it once the others are fitted"
     if any(fit.samples.stops for fit in identified.fits.values()):

@@ -10,6 +10,7 @@ import hpac
 from experiments.bench import JointCamera, Protocol, metal_sweeps
 from experiments.quasistatic import hand_course
 from hpac_gym.calibration import samples
+from hpac_gym.calibration.calibrate import named
 from hpac_gym.calibration.file_errors import (
     BOUND,
     WORST_OF_JOINTS,
@@ -200,7 +201,13 @@ def test_a_drift_between_rests_that_differ_is_fitted_in_both_directions(hidden):
     turned = both.with_joint_pos(both.joint_pos + drift[:, None])
     servo = np.linspace(HPAC.servo_min, HPAC.servo_max, 17)
     joints = [JOINT_INDEX[name] for name in HPAC.digits["index"].joints]
-    off = settled_joints_from_servo(servo, identify(turned).hand) - hand_course([hidden], servo)[0]
+    identified = identify(turned)
+    sources = named(identified, HPAC, "one.csv").sources
+    assert (
+        sources["d2"] == "identified from one.csv, about H-PAC; thumb, middle, ring, pinky as there"
+    )
+    assert sources["cmc_gain"] == HPAC.sources["cmc_gain"]
+    off = settled_joints_from_servo(servo, identified.hand) - hand_course([hidden], servo)[0]
     assert np.degrees(np.abs(off[:, joints])).mean(axis=0).max() < 0.15
 
 
