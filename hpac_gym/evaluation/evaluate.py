@@ -303,7 +303,12 @@ def run(args: argparse.Namespace) -> int:
         summary["files"] = told
     text = json.dumps(summary, indent=2)
     named = replace(judged, episodes=dict(zip(names, judged.episodes.values(), strict=True)))
-    print(text if args.json else table(named.summary()), flush=True)
+    scaled = "".join(
+        f"\n\n{one['file']}: observations scaled by '{one['normalize']}'."
+        for one in told
+        if "normalize" in one
+    )
+    print(text if args.json else table(named.summary()) + scaled, flush=True)
     if args.out:
         write_text(args.out, text + "\n")
     return 0

@@ -147,6 +147,8 @@ def test_hpac_evaluate_takes_a_model_and_tells_what_it_was(saved, capsys):
     assert told["policy"]["env_steps"] == 64
     assert told["policy"]["normalize"] == f"{saved}/vecnormalize.pkl"
     assert len(told["policy"]["normalize_sha256"]) == 64
+    assert hpac.main([*words, "--workers", "1"]) == 0
+    assert f"observations scaled by '{saved}/vecnormalize.pkl'." in capsys.readouterr().out
     assert told["policy"]["algorithm"] == "stable_baselines3.common.policies"
 
 
