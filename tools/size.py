@@ -30,7 +30,11 @@ PRICES = {
         f"tasks/{name}.py"
         for name in ("grasp_types", "grasp_type_data", "grasp_rules", "grasp_holds", "arrival")
     ),
-    "objects of one's own": ("body/own_objects.py", "physics/mujoco/resting.py"),
+    "objects of one's own": (
+        "body/own_objects.py",
+        "body/own_meshes.py",
+        "physics/mujoco/resting.py",
+    ),
     "data sets, ONNX, Stable-Baselines3": (
         *("evaluation/dataset.py", "evaluation/lerobot.py"),
         *("policies/export.py", "policies/card.py", "policies/onnx_model.py"),

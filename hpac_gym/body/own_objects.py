@@ -1,15 +1,9 @@
-"""User-supplied objects: a mesh or URDF file, decomposed into convex parts that both engines
-collide.
+"""User-supplied objects: a mesh or URDF file, as convex parts that both engines collide."""
 
-CoACD computes the parts once; they are cached in a file beside the mesh, so that only the first
-call is slow."""
-
-import hashlib
-import json
 import math
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from numbers import Real
 from pathlib import Path
 from typing import Any
@@ -20,13 +14,11 @@ import numpy as np
 from hpac_gym.body.geometry import rotation_about, rotation_from_rpy
 from hpac_gym.body.object_models import ObjectModel
 from hpac_gym.body.objects import GREY, ObjectSpec
-from hpac_gym.body.solids import Hull, Solid, bounds_of
-from hpac_gym.errors import ParameterError, install
+from hpac_gym.body.own_meshes import DETAILS, Decomposition, of_mesh
+from hpac_gym.body.solids import Solid, bounds_of
+from hpac_gym.errors import ParameterError
 from hpac_gym.model.checks import Array
-from hpac_gym.output import OutputError, writable_file, write_text
-from hpac_gym.progress import waiting
 
-MESHES = (".stl", ".obj", ".ply", ".off")
 MIN_SIDE = 0.002
 MAX_SIDE = 0.4
 """Smallest and largest side of the bounding box [m]: limited by contact softness and by the
@@ -37,29 +29,6 @@ MAX_FRICTION = 2.0
 """Largest mass [kg] and Coulomb coefficient."""
 MAX_SCALE = 1000.0
 
-_COMMON = {"max_convex_hull": 32, "decimate": True, "seed": 0}
-DETAILS = {
-    "coarse": _COMMON
-    | {
-        "threshold": 0.2,
-        "max_ch_vertex": 32,
-        "preprocess_resolution": 20,
-        "resolution": 300,
-        "mcts_nodes": 5,
-        "mcts_iterations": 5,
-        "mcts_max_depth": 1,
-    },
-    "fine": _COMMON | {"threshold": 0.05, "max_ch_vertex": 64},
-}
-"""Settings of CoACD by detail; chosen: seconds and minutes for a mug."""
-_MANY_FACES = 1000
-"""A coarse decomposition of more faces first remeshes them at its resolution."""
-_CONVEX = 0.99
-"""A mesh that fills at least this fraction of its convex hull is not decomposed."""
-_CORNERS = 256
-"""A convex mesh with more corners keeps those that lie outermost in so many directions, and along
-its axes: more would slow PyBullet down.
-"""
 _UP = {"z": np.eye(3), "y": rotation_about((1, 0, 0), math.pi / 2)}
 
 
@@ -104,12 +73,12 @@ def own_object(
     for name, given, known in (("up", up, _UP), ("detail", detail, DETAILS)):
         if given not in list(known):
             raise ParameterError(f"{name} {given!r} is not one of {', '.join(known)}")
-    how = _Decomposition(DETAILS[detail], folder)
+    how = Decomposition(DETAILS[detail], folder)
     if path.suffix.lower() == ".urdf":
         solids, stated_mass = _of_urdf(path, scale, how)
         mass = stated_mass if mass is None else mass
     else:
-        solids = _of_mesh(path, np.full(3, scale), how)
+        solids = of_mesh(path, np.full(3, scale), how)
     if mass is None:
         raise ParameterError(f"'{path}' says no mass: give one in kg")
     _check_positive(f"'{path}'", "mass", mass, MAX_MASS)
@@ -175,124 +144,7 @@ def _spec(path: Path, solids: list[Solid], mass: float, friction: float) -> Obje
     return ObjectSpec("box", model.half_extents, mass, friction, model)
 
 
-# Meshes ------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, slots=True)
-class _Decomposition:
-    """How meshes are decomposed, and where their parts are cached; None is beside each mesh."""
-
-    settings: Mapping[str, Any]
-    folder: str | os.PathLike[str] | None
-
-
-def _of_mesh(path: Path, scale: Array, how: _Decomposition) -> list[Solid]:
-    """The convex parts of a mesh, each with its volume as its mass; a mirroring scale turns the
-    faces over.
-    """
-    if path.suffix.lower() not in MESHES:
-        raise ParameterError(f"'{path}' is not one of {', '.join(MESHES)}, nor a .urdf")
-    kept = (path.parent if how.folder is None else Path(how.folder)) / f"{path.stem}.hulls.json"
-    made_from = {"sha256": hashlib.sha256(path.read_bytes()).hexdigest(), "coacd": how.settings}
-    parts = _kept(kept, made_from)
-    if parts is None:
-        try:
-            writable_file(kept)
-        except OutputError as error:
-            raise OutputError(
-                f"{error}: convex parts are kept there, or in folder= (--set object.folder=)"
-            ) from None
-        parts = _decomposed(path, how.settings)
-        write_text(kept, json.dumps(made_from | {"parts": parts}))
-    order = -1 if np.prod(scale) < 0 else 1
-    return [
-        _hull(np.array(corners) * scale, np.array(faces)[:, ::order]) for corners, faces in parts
-    ]
-
-
-def _kept(path: Path, made_from: dict[str, Any]) -> list | None:
-    """Parts cached in a file; None unless it was made from the same mesh with the same settings."""
-    try:
-        cache = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return None
-    same = isinstance(cache, dict) and all(
-        cache.get(key) == value for key, value in made_from.items()
-    )
-    return cache.get("parts") if same else None
-
-
-def _decomposed(path: Path, settings: Mapping[str, Any]) -> list:
-    """Corners and faces of the convex parts of a mesh, in the file's unit."""
-    try:
-        import coacd
-        import trimesh
-    except ImportError as error:
-        raise ParameterError(
-            f"own_object needs the package {error.name}: {install('objects')}"
-        ) from None
-    try:
-        mesh = trimesh.load_mesh(path)
-    except Exception as error:  # the reader may raise anything on a broken file
-        raise ParameterError(
-            f"'{path}' cannot be read as a mesh: {next(iter(str(error).splitlines()), repr(error))}"
-        ) from None
-    if not (
-        isinstance(mesh, trimesh.Trimesh) and len(mesh.faces) and np.isfinite(mesh.vertices).all()
-    ):
-        raise ParameterError(f"'{path}' has no triangles with finite corners")
-    mesh.merge_vertices(merge_tex=True, merge_norm=True)  # split where a texture has a seam
-    if np.ptp(mesh.vertices, axis=0).min() < 1e-9 * np.ptp(mesh.vertices, axis=0).max():
-        raise ParameterError(f"'{path}' is flat: it has no volume")
-    if not mesh.is_watertight:
-        raise ParameterError(
-            f"'{path}' is not watertight: every edge must belong to two triangles; close its holes first"
-        )
-    if not mesh.is_volume:
-        mesh.fix_normals()
-    if not mesh.volume > 1e-9 * np.prod(mesh.extents):
-        raise ParameterError(f"'{path}' has no volume")
-    whole = mesh.convex_hull
-    parts = [whole]
-    if mesh.volume < _CONVEX * whole.volume:
-        coacd.set_log_level("error")
-        remeshed = "preprocess_resolution" in settings and len(mesh.faces) > _MANY_FACES
-        settings = {**settings, "preprocess_mode": "on"} if remeshed else settings
-        with waiting(f"convex parts of {path.name}"):
-            convex = coacd.run_coacd(coacd.Mesh(mesh.vertices, mesh.faces), **settings)
-        parts = [trimesh.convex.convex_hull(corners) for corners, _ in convex]
-        if remeshed:  # which changes the size a little
-            low, high = trimesh.util.concatenate(parts).bounds
-            for part in parts:
-                share = (part.vertices - low) / (high - low)
-                part.vertices = mesh.bounds[0] + share * mesh.extents
-    elif len(whole.vertices) > _CORNERS:
-        parts = [trimesh.convex.convex_hull(_outermost(whole.vertices))]
-    return [(part.vertices.tolist(), part.faces.tolist()) for part in parts]
-
-
-def _outermost(corners: Array) -> Array:
-    """The corners that lie outermost in `_CORNERS` directions, on a spiral about a sphere, and along
-    the axes.
-    """
-    step = np.arange(_CORNERS) + 0.5
-    height = 1 - 2 * step / _CORNERS
-    turn = math.pi * (1 + math.sqrt(5)) * step
-    around = np.sqrt(1 - height**2) * (np.cos(turn), np.sin(turn))
-    ways = np.hstack([(*around, height), np.eye(3), -np.eye(3)])
-    return corners[np.unique((corners / np.ptp(corners, axis=0) @ ways).argmax(axis=0))]
-
-
-def _hull(corners: Array, faces: Array) -> Solid:
-    volume, centre, _ = Hull(corners, faces).moments()
-    x, y, z = np.ptp(corners, axis=0).tolist()
-    return Solid("hull", volume, (x, y, z), centre, np.eye(3), hull=Hull(corners - centre, faces))
-
-
-# URDF --------------------------------------------------------------------------
-
-
-def _of_urdf(path: Path, scale: float, how: _Decomposition) -> tuple[list[Solid], float | None]:
+def _of_urdf(path: Path, scale: float, how: Decomposition) -> tuple[list[Solid], float | None]:
     """Collision shapes of a URDF, each with its volume as its mass, and the sum of its link masses;
     None if it has none.
     """
@@ -309,7 +161,7 @@ def _of_urdf(path: Path, scale: float, how: _Decomposition) -> tuple[list[Solid]
     return [solid.scaled(scale, scale**3) for solid in solids], mass or None
 
 
-def _of_links(path: Path, robot: Xml.Element, how: _Decomposition) -> list[Solid]:
+def _of_links(path: Path, robot: Xml.Element, how: Decomposition) -> list[Solid]:
     parents = {}
     for joint in robot.findall("joint"):
         if joint.get("type") != "fixed":
@@ -351,13 +203,13 @@ def _origin(element: Xml.Element) -> tuple[Array, Array]:
     return rotation_from_rpy(rpy), np.array(xyz)
 
 
-def _of_geometry(path: Path, form: Xml.Element, how: _Decomposition) -> list[Solid]:
+def _of_geometry(path: Path, form: Xml.Element, how: Decomposition) -> list[Solid]:
     if form.tag == "mesh":
         name = form.get("filename", "")
         mesh = path.parent / name.removeprefix("file://")
         if not mesh.is_file():
             raise ParameterError(f"no mesh file '{mesh}', which '{path}' names")
-        return _of_mesh(mesh, np.array(_numbers(form.get("scale", "1 1 1"))), how)
+        return of_mesh(mesh, np.array(_numbers(form.get("scale", "1 1 1"))), how)
     if form.tag == "box":
         x, y, z = _numbers(form.get("size"))
         return [Solid("box", x * y * z, (x, y, z), np.zeros(3), np.eye(3))]

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from hpac_gym.body.objects import ObjectSpec
-from hpac_gym.body.own_objects import MAX_SIDE, MESHES, MIN_SIDE
+from hpac_gym.body.own_meshes import MESHES
+from hpac_gym.body.own_objects import MAX_SIDE, MIN_SIDE
 from hpac_gym.errors import ParameterError
 from hpac_gym.registration import GRASP_TYPE
 

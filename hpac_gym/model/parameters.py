@@ -1,8 +1,7 @@
 """Parameters of a hand: frozen, validated values, and the quantities derived from them.
 
 A `Digit` holds one tendon's numbers, a `Hand` five digits, the directly driven CMC joint and Table
-I. Everything else (ratios, matrices, servo range) is derived from these once, by the equations of
-the paper, and cached as read-only arrays."""
+I. Everything else is derived from these once, by the paper's equations, as read-only arrays."""
 
 from __future__ import annotations
 
@@ -94,9 +93,8 @@ class Digit:
 
     def chord(self, root: Array | float) -> Array:
         """Distance between the two guides [m] at angles of the root joint [rad], any shape. Eq. (3)."""
-        return chord_from_included(
-            self.d1**2 + self.d2**2, 2 * self.d1 * self.d2, self.alpha - root
-        )
+        squares = self.d1**2 + self.d2**2
+        return chord_from_included(squares, 2 * self.d1 * self.d2, self.alpha - root)
 
     @property
     def rest_chord(self) -> float:
@@ -219,8 +217,6 @@ class Hand:
         """Whether its file has a `[calibration]`, so that commands invert the whole file."""
         return self.calibration != Calibration()
 
-    # The workspace, as arrays ------------------------------------------------
-
     @cached_property
     def joint_min(self) -> Array:
         """q_min, shape (15,) [rad]. Table I."""
@@ -256,8 +252,6 @@ class Hand:
         """Largest commanded speed of each servo, shape (6,) [rad/s]."""
         return _read_only(np.full(len(SERVOS), self.rate_limit))
 
-    # The tendon guides, stacked over the five flexing servos ------------------
-
     @cached_property
     def guide_alpha(self) -> Array:
         """α of the five digits, shape (5,) [rad]."""
@@ -287,8 +281,6 @@ class Hand:
         return _read_only(
             np.array([getattr(digit, name) for digit in self.digits.values()], dtype=float)
         )
-
-    # The coupling, over all fifteen joints --------------------------------------
 
     @cached_property
     def servo_of_joint(self) -> np.ndarray:

@@ -219,8 +219,7 @@ class GraspAny(Task):
         self.turn = np.zeros(num_worlds)
         self.sides = np.zeros(num_worlds, dtype=int)
         servos = ServoSenses() if self.obs == "load" else None
-        seen = self.obs == "points"
-        return Senses(num_worlds, noise, self.viewpoint, VIEW_TARGET, servos, seen)
+        return Senses(num_worlds, noise, self.viewpoint, VIEW_TARGET, servos, self.obs == "points")
 
     def setup(self, rng: np.random.Generator, hand: Hand = HPAC) -> SceneSetup:
         return self.setups.draw(rng, hand)
@@ -228,9 +227,9 @@ class GraspAny(Task):
     def check(self, setup: SceneSetup) -> None:
         """Refuse a pull that is no direction."""
         pull = as_finite_vector(pull_of(setup), 3, "setup pull")
-        if abs(norm := float(np.linalg.norm(pull)) - 1) > 1e-3:
+        if abs((norm := float(np.linalg.norm(pull))) - 1) > 1e-3:
             raise ParameterError(
-                f"setup pull = {pull.tolist()} of norm {norm + 1:g}: must be 1 to 0.001"
+                f"setup pull = {pull.tolist()} of norm {norm:g}: must be 1 to 0.001"
             )
 
     def chosen(self, setup: SceneSetup, action: Array) -> SceneSetup:

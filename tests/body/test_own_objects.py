@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from hpac_gym.body import own_objects
+from hpac_gym.body import own_meshes, own_objects
 from hpac_gym.body.objects import ObjectSpec, Support
 from hpac_gym.body.own_objects import own_object
 from hpac_gym.envs import GraspAny, GraspError, ScriptedClosure
@@ -222,7 +222,7 @@ def test_the_decomposition_is_kept_beside_the_file_or_where_it_is_asked_for(
 def test_a_folder_that_cannot_be_written_is_told_with_the_way_out_before_the_work(
     wedge, monkeypatch
 ):
-    monkeypatch.setattr(own_objects, "_decomposed", None)
+    monkeypatch.setattr(own_meshes, "_decomposed", None)
     with pytest.raises(
         OutputError, match=r"'/proc/none': .*, or in folder= \(--set object.folder=\)"
     ):
@@ -242,7 +242,7 @@ def test_parts_of_another_mesh_of_the_same_name_or_a_damaged_file_are_made_anew(
 
 
 def test_a_failure_leaves_no_file(wedge, tmp_path, monkeypatch):
-    monkeypatch.setattr(own_objects.json, "dumps", lambda value: 1 / 0)
+    monkeypatch.setattr(own_meshes.json, "dumps", lambda value: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         own_object(wedge, mass=0.1, scale=0.001)
     assert [path.name for path in tmp_path.iterdir()] == ["ell.stl"]

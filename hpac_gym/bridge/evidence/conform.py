@@ -13,10 +13,11 @@ from hpac_gym.bridge.evidence import codec as wire
 from hpac_gym.bridge.evidence.device import OURS, BrokenRule, Device
 from hpac_gym.bridge.evidence.frame_rules import FRAME_RULES
 from hpac_gym.bridge.evidence.motion_rules import MOTION_RULES
+from hpac_gym.bridge.evidence.stop_rules import STOP_RULES
 from hpac_gym.bridge.transport import Transport
 from hpac_gym.model import HPAC, Hand
 
-RULES = FRAME_RULES | MOTION_RULES
+RULES = FRAME_RULES | MOTION_RULES | STOP_RULES
 
 
 @dataclass(frozen=True, slots=True)

@@ -70,38 +70,25 @@ class Status:
         return f"{name_of(State, self.state)}, fault {name_of(Fault, self.fault)}, servos {self.attached:06b}"
 
 
-class Device:
-    """The device under test: requests, answers and checks."""
+class Talk:
+    """Frames to and from a device, whose form is judged.
 
-    def __init__(self, transport: Transport, hand: Hand, patience: float) -> None:
+    Args:
+        transport: to the device.
+        patience: time-out of one answer [s].
+
+    Attributes:
+        unasked: messages that answered nothing.
+    """
+
+    def __init__(self, transport: Transport, patience: float) -> None:
         self.transport = transport
+        self.unasked: list[wire.Message] = []
         self._reader = wire.Reader()
         self._last_bytes = b""
         self._heard: list[wire.Message] = []
         self._patience = patience
         self._seq = 0
-        self.limits = servo_limits(hand)
-        self.rest = [servo.rest_urad // 100 for servo in self.limits]
-        """Pose at rest, shape (6,) [1e-4 rad]."""
-        rate = min(servo.rate_urad_s for servo in self.limits) * 1e-6
-        self.pace_ms = min(max(400, round(320 / rate)), CONSTANTS["move_max_ms"])
-        """Duration of a move by at most 0.25 rad, which the slowest servo can follow [ms]."""
-        self.relax_rate = rate * CONSTANTS["relax_permille"] * 1e-3
-        """Speed of the slowest servo in a relax [rad/s]."""
-        self.hand = hand
-        self.hash = 0
-        self.tried = 0
-        self.unasked: list[wire.Message] = []
-
-    def expect(self, kept: bool, what: str) -> None:
-        """Check the current rule and count the check.
-
-        Raises:
-            BrokenRule: The rule is violated.
-        """
-        self.tried += 1
-        if not kept:
-            raise BrokenRule(what)
 
     def _hear(self, seconds: float) -> None:
         """Receive messages for at most `seconds`.
@@ -129,13 +116,6 @@ class Device:
             self._hear(left)
         self.unasked += self._heard
         self._heard.clear()
-
-    def live(self, seconds: float) -> None:
-        """Wait as an active controller, sending heartbeats."""
-        until = self.transport.now() + seconds
-        while (left := until - self.transport.now()) > 0:
-            self.send(wire.HEARTBEAT, OURS, wire.NO_ACK)
-            self.listen(min(left, 0.03))
 
     def send(
         self,
@@ -180,6 +160,41 @@ class Device:
         if answer.kind != wire.ACK or len(answer.payload) != 4:
             return None
         return answer.payload[1], answer.payload[2]
+
+
+class Device(Talk):
+    """The device under test: requests, answers and checks."""
+
+    def __init__(self, transport: Transport, hand: Hand, patience: float) -> None:
+        super().__init__(transport, patience)
+        self.limits = servo_limits(hand)
+        self.rest = [servo.rest_urad // 100 for servo in self.limits]
+        """Pose at rest, shape (6,) [1e-4 rad]."""
+        rate = min(servo.rate_urad_s for servo in self.limits) * 1e-6
+        self.pace_ms = min(max(400, round(320 / rate)), CONSTANTS["move_max_ms"])
+        """Duration of a move by at most 0.25 rad, which the slowest servo can follow [ms]."""
+        self.relax_rate = rate * CONSTANTS["relax_permille"] * 1e-3
+        """Speed of the slowest servo in a relax [rad/s]."""
+        self.hand = hand
+        self.hash = 0
+        self.tried = 0
+
+    def expect(self, kept: bool, what: str) -> None:
+        """Check the current rule and count the check.
+
+        Raises:
+            BrokenRule: The rule is violated.
+        """
+        self.tried += 1
+        if not kept:
+            raise BrokenRule(what)
+
+    def live(self, seconds: float) -> None:
+        """Wait as an active controller, sending heartbeats."""
+        until = self.transport.now() + seconds
+        while (left := until - self.transport.now()) > 0:
+            self.send(wire.HEARTBEAT, OURS, wire.NO_ACK)
+            self.listen(min(left, 0.03))
 
     def must(
         self, reason: Reason, kind: int, payload: bytes = b"", text: str = "", **how: int
