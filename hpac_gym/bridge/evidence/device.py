@@ -228,8 +228,8 @@ class Device(Talk):
         )
         numbers = struct.unpack("<I4B6h6BH2xHI5H2xH", answer.payload)
         uptime_ms, state, fault, attached, moving = numbers[:5]
-        pose, heat = numbers[5:11], numbers[11:17]
-        return Status(uptime_ms, state, fault, attached, moving, pose, heat, *numbers[17:])
+        by_servo = numbers[5:11], numbers[11:17]
+        return Status(uptime_ms, state, fault, attached, moving, *by_servo, *numbers[17:])
 
     def must_be(
         self, state: State, when: str, fault: Fault | None = None, powered: bool | None = None
