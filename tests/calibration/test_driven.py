@@ -9,6 +9,7 @@ import sys
 import time
 from dataclasses import replace
 from functools import partial
+from threading import Lock
 from types import SimpleNamespace
 
 import numpy as np
@@ -466,16 +467,18 @@ class Tracker:
         self.hand = hand
         self.now = 1000.0
         self.until = np.inf
+        self.lock = Lock()  # threads of libraries look, too
         path.write_text("time_s,joint_index_mcp_rad,joint_index_pip_rad\n")
 
     def time(self):
-        self.now += 0.05
-        if self.now <= self.until:
-            pulses = self.hand.pulses()
-            servo = servo_from_pulses(pulses)[1] if pulses.all() else 0.0
-            with self.path.open("a") as file:
-                print(f"{self.now:.3f},{0.9 * servo:.6f},{1.08 * servo:.6f}", file=file)
-        return self.now
+        with self.lock:
+            self.now += 0.05
+            if self.now <= self.until:
+                pulses = self.hand.pulses()
+                servo = servo_from_pulses(pulses)[1] if pulses.all() else 0.0
+                with self.path.open("a") as file:
+                    print(f"{self.now:.3f},{0.9 * servo:.6f},{1.08 * servo:.6f}", file=file)
+            return self.now
 
 
 @pytest.fixture
