@@ -97,7 +97,8 @@ def as_object(given: ObjectSpec | Mapping[str, Any]) -> ObjectSpec:
         if isinstance(given, Mapping):  # with a shape it is a spec, as a dataset keeps it
             given = (ObjectSpec if "shape" in given else own_object)(**given)
     except TypeError as error:
-        raise ParameterError(f"object {given!r}: {error}") from None
+        reason = f"{error}".partition(") ")[2] or error  # without the name of our function
+        raise ParameterError(f"object {given!r}: {reason}") from None
     if not isinstance(given, ObjectSpec):
         raise ParameterError(
             f"object {given!r} is neither an ObjectSpec, as own_object gives one, nor a dictionary for it"

@@ -245,11 +245,12 @@ class Device:
 
     def __init__(self, name: str, size: tuple[int, int] = HD) -> None:
         cv2 = opencv()
-        self._video = cv2.VideoCapture(int(name) if name.isdecimal() else name)
+        number = name.isdecimal() and len(name) < 10  # OpenCV takes no larger ones
+        self._video = cv2.VideoCapture(int(name) if number else name)
         if not self._video.isOpened():
             raise CameraError(f"camera {name} cannot be opened")
-        self._reads = READS if name.isdecimal() else 1
-        if name.isdecimal():
+        self._reads = READS if number else 1
+        if number:
             self._video.set(cv2.CAP_PROP_FRAME_WIDTH, size[0])
             self._video.set(cv2.CAP_PROP_FRAME_HEIGHT, size[1])
 

@@ -526,7 +526,7 @@ def test_a_mesh_is_closed_though_its_texture_has_seams(tmp_path):
         (
             {"object": {"weight": 0.1}},
             ParameterError,
-            r"object {'weight': 0.1}: .*unexpected keyword argument 'weight'",
+            r"object {'weight': 0.1}: got an unexpected keyword argument 'weight'",
         ),
         (
             {"object": SPEC | {"half_extents": [0.02, 0.02]}},

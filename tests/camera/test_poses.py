@@ -178,8 +178,9 @@ def test_deploy_takes_the_pose_from_a_camera(tmp_path, capsys, monkeypatch):
     with pytest.warns(UserWarning, match=f"field of view of {FIELD_OF_VIEW_DEG:g}° is assumed"):
         assert hpac.main([*words, "--pose", f"camera:{path}"]) == 0
     assert "nothing was sent" in capsys.readouterr().out
-    assert hpac.main([*words, "--pose", "camera:no_such.avi"]) == 2
-    assert "camera no_such.avi cannot be opened" in capsys.readouterr().err
+    for name in ("no_such.avi", "99999999999"):
+        assert hpac.main([*words, "--pose", f"camera:{name}"]) == 2
+        assert f"camera {name} cannot be opened" in capsys.readouterr().err
 
 
 def test_the_hand_s_board_alone_gives_no_pose():
