@@ -12,7 +12,7 @@ from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.envs.randomization import PRESETS, Randomization, randomization
 from hpac_gym.errors import ParameterError
 from hpac_gym.model import HPAC, JOINTS, Hand, load_hand
-from hpac_gym.model.checks import as_bounded_array, as_finite_vector
+from hpac_gym.model.checks import as_bounded_array, as_finite_vector, as_unit_vector
 from hpac_gym.physics.engine import SceneSetup
 from hpac_gym.physics.settings import BODIES, WorldSettings
 from hpac_gym.physics.simulation import ENGINES
@@ -26,12 +26,8 @@ RENDER_MODES = ["human", "rgb_array"]
 _SETUP_ARRAYS = {
     "position": 3,
     "synergy": 6,
-    "hand_quaternion": 4,
-    "object_quaternion": 4,
     "target": 3,
 }
-_NORM_TOLERANCE = 1e-3
-"""Largest deviation of a setup's quaternions from unit norm, as of four typed digits."""
 
 
 def _told(meaning: str, values: tuple[str | None, ...] = (), others: str = "") -> dict[str, Option]:
@@ -223,14 +219,7 @@ def _checked_setup(given: Any, task: Task, hand: Hand) -> SceneSetup:
     }
     check_bounds(given, "setup")
     for name in ("hand_quaternion", "object_quaternion"):
-        norm = np.linalg.norm(found[name])
-        if abs(norm - 1) > _NORM_TOLERANCE:
-            raise ParameterError(
-                f"setup {name} = {found[name].tolist()} of norm {norm:g}: must be 1 to {_NORM_TOLERANCE:g}"
-            )
-        if abs(norm - 1) > 1e-9:
-            found[name] = found[name] / norm
-        found[name] = tuple(found[name].tolist())
+        found[name] = tuple(as_unit_vector(getattr(given, name), 4, f"setup {name}").tolist())
     setup = replace(given, **found)
     task.check(setup)
     return setup

@@ -5,12 +5,14 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hpac_gym.errors import ShapeError, WorkspaceError
+from hpac_gym.errors import ParameterError, ShapeError, WorkspaceError
 
 Array = NDArray[np.float64]
 
 TOLERANCE = 1e-9
 """Tolerance of every bound, for rounding errors of a value computed to lie on it."""
+NORM_TOLERANCE = 1e-3
+"""Largest deviation of a given unit vector or quaternion from norm 1, as of four typed digits."""
 _REAL = "fiubO"
 """NumPy dtype kinds that can hold real numbers."""
 
@@ -61,6 +63,23 @@ def as_finite_vector(value: ArrayLike, size: int, name: str) -> Array:
     if array.ndim != 1:
         raise ShapeError(f"{name} must have shape ({size},), not {array.shape}")
     return array
+
+
+def as_unit_vector(value: ArrayLike, size: int, name: str) -> Array:
+    """The value as one array of shape (size,) of norm 1; off by more than rounding it is divided by
+    its norm.
+
+    Raises:
+        ShapeError: As from `as_finite_vector`.
+        ParameterError: The norm is off by more than `NORM_TOLERANCE`.
+    """
+    vector = as_finite_vector(value, size, name)
+    norm = np.linalg.norm(vector)
+    if abs(norm - 1) > NORM_TOLERANCE:
+        raise ParameterError(
+            f"{name} = {vector.tolist()} of norm {norm:g}: must be 1 to {NORM_TOLERANCE:g}"
+        )
+    return vector / norm if abs(norm - 1) > TOLERANCE else vector
 
 
 def as_bounded_array(

@@ -9,7 +9,7 @@ import gymnasium
 from hpac_gym.errors import PolicyError
 from hpac_gym.policies.baselines import BASELINES
 from hpac_gym.policies.card import read_card
-from hpac_gym.policies.made_for import require_fit
+from hpac_gym.policies.made_for import options_of, require_fit
 from hpac_gym.policies.onnx_model import read_onnx
 from hpac_gym.policies.policy import LearnedPolicy, Policy
 from hpac_gym.policies.policy_file import SHIPPED, PolicyFile, policy_path, read_policy
@@ -44,7 +44,7 @@ def load_policy(name: str, env: gymnasium.Env[Any, Any], normalize: str | None =
         return baseline
     path = policy_path(name)
     if path.is_dir():
-        return read_onnx(path, env, needed_options(name))
+        return read_onnx(path, env)
     if is_model(path):
         return read_model(path, env, normalize)
     if path.exists():
@@ -93,16 +93,12 @@ def about(name: str, normalize: str | None = None) -> dict[str, Any]:
 
 
 def needed_options(name: str) -> dict[str, Any]:
-    """Options of the environment without which a policy cannot act in it: a free wrist for one that
-    shifts it, and the observation of one that sees more than *deploy*.
+    """`options_of` a policy's description.
 
     Raises:
         PolicyError: The file is damaged.
     """
-    told = about(name)
-    closure = told.get("decision", told).get("closure") or {}  # a card's is under its decision
-    wrist = {"wrist": "free"} if closure.get("shift") else {}
-    return wrist | ({"obs": told["obs"]} if told.get("obs") else {})
+    return options_of(about(name))
 
 
 def shipped_for(env_id: str) -> str:
@@ -125,7 +121,7 @@ def policy_file_for(name: str, env: gymnasium.Env[Any, Any]) -> PolicyFile:
             policy.about.get("made_for", {}),
             policy.sizes,
             env,
-            needed_options(name),
+            options_of(policy.about),
         )
     except (TypeError, ValueError, AttributeError) as error:
         if isinstance(error, PolicyError):

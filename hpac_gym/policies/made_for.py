@@ -5,7 +5,6 @@ environment.
 import hashlib
 import warnings
 from collections.abc import Mapping
-from types import MappingProxyType
 from typing import Any
 
 import gymnasium
@@ -78,7 +77,7 @@ def other_hand(file: Mapping[str, Any], env: gymnasium.Env[Any, Any]) -> str | N
     """
     made_with = file.get("hand_sha256")
     hand = _model(env)
-    if made_with in (None, *(_digest(hand_to_toml(one)) for one in (hand, HPAC))):
+    if made_with is None or any(made_with == _digest(hand_to_toml(one)) for one in (HPAC, hand)):
         return None
     return f"was made with another hand, and acts here with the model of '{hand.name}'"
 
@@ -88,13 +87,23 @@ def id_of(env: gymnasium.Env[Any, Any]) -> str:
     return env.spec.id if env.spec else type(env.unwrapped).__name__
 
 
+def options_of(told: Mapping[str, Any]) -> dict[str, Any]:
+    """Options of the environment without which a policy cannot act in it, of its description or its
+    card: a free wrist for one that shifts it, and the observation of one that sees more than
+    *deploy*.
+    """
+    closure = told.get("decision", told).get("closure") or {}  # a card's is under its decision
+    wrist = {"wrist": "free"} if closure.get("shift") else {}
+    return wrist | ({"obs": told["obs"]} if told.get("obs") else {})
+
+
 def require_fit(
     what: str,
     env_id: str,
     file: Mapping[str, Any],
     sizes: tuple[int, int],
     env: gymnasium.Env[Any, Any],
-    needs: Mapping[str, Any] = MappingProxyType({}),
+    needs: Mapping[str, Any],
 ) -> None:
     """Refuse a policy that was made for another interface; warn of one made with another hand.
 
@@ -105,7 +114,7 @@ def require_fit(
         file: its `made_for`.
         sizes: numbers of values that it observes, and of its actions.
         env: the environment in which it is to act.
-        needs: options without which its sizes are others.
+        needs: its `options_of`, without which the sizes are others.
 
     Raises:
         PolicyError: It was made for another environment, rate, action or observation.

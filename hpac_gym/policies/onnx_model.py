@@ -1,8 +1,6 @@
 """A policy as an ONNX model, written and read."""
 
-from collections.abc import Mapping
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import gymnasium
@@ -13,7 +11,7 @@ from hpac_gym.errors import PolicyError, install
 from hpac_gym.policies.card import MODEL, read_card
 from hpac_gym.policies.closure import Closures
 from hpac_gym.policies.increments import Increments
-from hpac_gym.policies.made_for import require_fit
+from hpac_gym.policies.made_for import options_of, require_fit
 from hpac_gym.policies.policy import LearnedPolicy
 from hpac_gym.policies.policy_file import PolicyFile, sizes_of
 
@@ -82,10 +80,8 @@ def onnx_model(policy: PolicyFile) -> Any:
     return model
 
 
-def read_onnx(
-    folder: Path, env: gymnasium.Env[Any, Any], needs: Mapping[str, Any] = MappingProxyType({})
-) -> LearnedPolicy:
-    """Load an exported policy for an environment; `needs` are the options that it needs.
+def read_onnx(folder: Path, env: gymnasium.Env[Any, Any]) -> LearnedPolicy:
+    """Load an exported policy for an environment.
 
     Raises:
         PolicyError: A file is missing or damaged, or the policy was made for another layout or
@@ -115,7 +111,9 @@ def read_onnx(
             raise ValueError(f"the inputs of its model are {', '.join(inputs)}, not observation")
         ends = session.get_inputs()[0].shape[1], session.get_outputs()[0].shape[1]
         sizes = sizes_of(ends, closures, moves)
-        require_fit(f"exported policy '{folder}'", told["env_id"], made, sizes, env, needs)
+        require_fit(
+            f"exported policy '{folder}'", told["env_id"], made, sizes, env, options_of(told)
+        )
     except PolicyError:
         raise
     except Exception as error:  # a damaged file can make its reader raise anything
