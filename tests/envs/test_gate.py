@@ -19,7 +19,7 @@ from hpac_gym.envs.randomization import PRESETS, Randomization
 from hpac_gym.errors import EpisodeError, ShapeError, WorkspaceError
 from hpac_gym.model import HPAC, SERVOS
 from hpac_gym.physics.settings import HandSettings
-from hpac_gym.physics.simulation import ENGINES
+from hpac_gym.physics.simulation import ENGINES, is_installed
 from hpac_gym.registration import GRASP, GRASP_TYPE, IDS, POSTURE
 from hpac_gym.tasks.cameras import CameraNoise
 from hpac_gym.tasks.grip import Grip
@@ -82,8 +82,9 @@ PLAIN = [
         BY_NAME[f"{GRASP}/{name}/privileged"]
         for name in ("large_cylinder", "small_sphere", "tip_pinch", "scissors")
     ),
+    *(case for case in CASES if case.on_mujoco and "privileged" in case.name),
 ]
-"""The default case of every id, and a cylinder, a sphere, a box and a compound object."""
+"""The default case of every id, and a cylinder, a sphere, a box and a compound object; MuJoCo's."""
 
 STOP_GIVES = 0.4
 """Largest momentary overshoot of a joint's stop, by a digit that snaps free of another one [rad];
@@ -316,11 +317,12 @@ def test_a_large_change_of_physics_ends_many_episodes_otherwise(name, fault):
 @pytest.fixture(scope="module")
 def printed():
     """The hashes of another process, which prints nothing else."""
+    names = [case.name for case in PLAIN if case.on_mujoco or is_installed("pybullet")]
     paths = os.pathsep.join(
         path for path in (str(FILE.parents[2]), os.environ.get("PYTHONPATH")) if path
     )
     done = subprocess.run(
-        [sys.executable, "-m", "tests.envs.fingerprints", *(case.name for case in PLAIN)],
+        [sys.executable, "-m", "tests.envs.fingerprints", *names],
         capture_output=True,
         text=True,
         check=True,
@@ -330,7 +332,7 @@ def printed():
     return json.loads(done.stdout)
 
 
-@pytest.mark.parametrize("case", PLAIN, ids=lambda case: case.name)
+@pytest.mark.parametrize("case", marked(PLAIN, PYBULLET), ids=lambda case: case.name)
 def test_same_seed_same_trajectory_to_the_bit(case, printed):
     """On re-reset, in a fresh environment that can render too, and in a subprocess."""
     with case.make() as env:

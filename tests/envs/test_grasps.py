@@ -140,6 +140,7 @@ def test_closures_searched_in_both_engines_hold_in_mujoco(name: str):
 
 
 @pytest.mark.slow
+@pytest.mark.pybullet
 @pytest.mark.parametrize("name", NAMES)
 def test_a_closed_grasp_creeps_little_in_ten_seconds(name: str):
     """Less than 2 mm for a power grasp and 5 mm for any other, from one second after the hold
