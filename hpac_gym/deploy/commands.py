@@ -136,11 +136,9 @@ def run(options: argparse.Namespace) -> int:
         say(options.json, said, policy=options.policy, port=options.port, env=env_id)
         live = [_live] if sys.stderr.isatty() else []
         if options.view:
-            from hpac_gym.deploy.watching import Watch  # an extra
+            from hpac_gym.deploy.watching import watched
 
-            watch = Watch(link, observer.setup, hand)
-            stack.callback(watch.close)
-            live.append(watch.live)
+            live.append(stack.enter_context(watched(link, observer.setup, hand)))
         counts = run_episode(
             link,
             observer,

@@ -2,6 +2,8 @@
 sensors: it is shown where the elastic model predicts it."""
 
 import time
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager, suppress
 from threading import Event, Thread
 from typing import Any
 
@@ -28,57 +30,52 @@ def predicted(servo: Array, hand: Hand, pose: Pose | None, wrist: Array, text: s
     return Shown(joints, servo, wrist, None, place, turn, text)
 
 
-class Watch:
-    """Shows a deployment while it runs, from a thread of its own that only reads.
+@contextmanager
+def watched(
+    link: HandLink, setup: SceneSetup, hand: Hand
+) -> Iterator[Callable[[dict[str, Any]], None]]:
+    """Show a deployment during the block, from a thread of its own that only reads.
 
     Args:
         link: the hand.
         setup: the observer's scene.
         hand: the hand's model.
+
+    Yields:
+        What is called with every step's figures.
     """
+    now = {"phase": "before or after the episode", "offset": np.zeros(3), "pose": None, "fault": ""}
+    over = Event()
 
-    def __init__(self, link: HandLink, setup: SceneSetup, hand: Hand) -> None:
-        self._link = link
-        self._hand = hand
-        self._figures: dict[str, Any] = {}
-        self._fault = ""
-        self._page = HandPage(setup, ABOUT, self._stop, browser=True, supports=False, driven=True)
-        self._over = Event()
-        self._thread = Thread(target=self._run, daemon=True)
-        self._thread.start()
-
-    def live(self, figures: dict[str, Any]) -> None:
-        """Take note of a step."""
-        self._figures = figures
-
-    def close(self) -> None:
-        """End the page."""
-        self._over.set()
-        self._thread.join()
-        self._page.close()
-
-    def _stop(self) -> None:
+    def stop() -> None:
         try:
-            self._link.estop()
+            link.estop()
         except BridgeError as error:
-            self._fault = UNCONFIRMED.format(error)
+            now["fault"] = UNCONFIRMED.format(error)
 
-    def _run(self) -> None:
-        while not self._over.wait(1 / PICTURE_HZ):
-            status = self._link.last_status
+    def show() -> None:
+        while not over.wait(1 / PICTURE_HZ):
+            status = link.last_status
             if status is not None:
-                figures = self._figures
-                text = f"{self._fault}{figures.get('phase', 'before or after the episode')}; {status.state}"
-                wrist = figures.get("offset", np.zeros(3))
-                pose = figures.get("pose")
-                self._page.show(predicted(status.servo, self._hand, pose, wrist, text))
+                text = f"{now['fault']}{now['phase']}; {status.state}"
+                page.show(predicted(status.servo, hand, now["pose"], now["offset"], text))
+
+    page = HandPage(setup, ABOUT, stop, browser=True, supports=False, driven=True)
+    thread = Thread(target=show, daemon=True)
+    thread.start()
+    try:
+        yield now.update
+    finally:
+        over.set()
+        thread.join()
+        page.close()
 
 
-def show_log(setup: SceneSetup, steps: list[dict[str, Any]], browser: bool = True) -> None:
+def show_log(setup: SceneSetup, steps: list[dict[str, Any]]) -> None:
     """Play the steps of a log again and again, in real time, until Ctrl-C."""
     about = f"A log of {len(steps)} steps. {ABOUT}"
-    page = HandPage(setup, about, browser=browser, supports=False, driven=True)
-    try:
+    page = HandPage(setup, about, browser=True, supports=False, driven=True)
+    with closing(page), suppress(KeyboardInterrupt):
         while True:
             for row in steps:
                 pose = Pose(np.array(row["position"]), tuple(row["quaternion"]))
@@ -86,7 +83,3 @@ def show_log(setup: SceneSetup, steps: list[dict[str, Any]], browser: bool = Tru
                 page.wait()
                 page.show(predicted(np.array(row["hand"]), HPAC, pose, np.zeros(3), text))
             time.sleep(1.0)
-    except KeyboardInterrupt:
-        return
-    finally:
-        page.close()

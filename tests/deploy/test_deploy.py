@@ -31,14 +31,13 @@ from hpac_gym.deploy.errors import DeployError, PoseError
 from hpac_gym.deploy.observer import TASKS, UPRIGHT, Observer, Pose
 from hpac_gym.deploy.poses import Fixed, Packets, Recorded, averaged, pose_of, source_of
 from hpac_gym.deploy.replay import Course, figure_of
-from hpac_gym.deploy.watching import Watch
+from hpac_gym.deploy.watching import watched
 from hpac_gym.figures import save
 from hpac_gym.model import HPAC
 from hpac_gym.output import OutputError
 from hpac_gym.policies.loading import load_policy
 from hpac_gym.registration import GRASP, GRASP_ANY, GRASP_TYPE, POSTURE
 from hpac_gym.tasks.cameras import CameraNoise
-from hpac_gym.view.page import HandPage
 from tests.options import refused
 from tests.processes import wait_for
 
@@ -353,23 +352,30 @@ def test_an_episode_leaves_a_log_and_a_hand_without_pulses(tmp_path, capsys):
 
 
 def test_the_page_of_a_deployment_tells_of_a_stop_that_nobody_confirmed(monkeypatch):
-    texts = [""]
-    monkeypatch.setattr("webbrowser.open", lambda url: True)
-    monkeypatch.setattr(HandPage, "show", lambda page, shown: texts.append(shown.text))
+    class Page:
+        said = ""
 
-    def fails(link: HandLink) -> None:
-        raise LinkTimeout("no answer to estop")
+        def __init__(self, setup, about, stop, **_):
+            pages.append(self)
+            self.stop = stop
 
+        def show(self, shown):
+            self.said = shown.text
+
+        def close(self):
+            pass
+
+    pages = []
+    monkeypatch.setattr("hpac_gym.deploy.watching.HandPage", Page)
     with HandLink(VirtualHand().connect) as link:
         link.status()
-        watch = Watch(link, Observer(GRASP, CAN).setup, HPAC)
-        monkeypatch.setattr(HandLink, "estop", fails)
-        watch._stop()
-        wait_for(
-            lambda: texts[-1].startswith("Stop NOT CONFIRMED: switch the supply off. no answer")
-        )
-        watch.close()
-        monkeypatch.undo()
+        monkeypatch.setattr(link, "estop", raising(LinkTimeout("no answer to estop")))
+        with watched(link, Observer(GRASP, CAN).setup, HPAC):
+            (page,) = pages
+            wait_for(lambda: page.said == "before or after the episode; idle")
+            page.stop()
+            told = "Stop NOT CONFIRMED: switch the supply off. no answer to estop. before"
+            wait_for(lambda: page.said.startswith(told))
 
 
 @pytest.mark.parametrize(
