@@ -72,10 +72,9 @@ class Remote(Arm):
         DeployError: The address is none.
     """
 
-    def __init__(self, host: str, port: int, patience: float = 60.0) -> None:
+    def __init__(self, host: str, port: int) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
-        self._patience = patience
         self._where = f"the arm at {host}:{port}"
         try:
             self._socket.connect((host, port))
@@ -90,27 +89,22 @@ class Remote(Arm):
             DeployError: It does not within a minute.
         """
         late = Late(f"waiting for {self._where}")
-        for _ in range(round(self._patience / 0.1)):
+        for _ in range(600):
             self.tell(told)
             wait(0.1)
             late()
-            try:
+            with suppress(OSError, *MALFORMED):
                 answer = json.loads(self._socket.recv(4096))
                 if answer[PACKET] == VERSION and answer["ready"] is True:
                     return
-            except (OSError, *MALFORMED):
-                continue
-        raise DeployError(f"{self._where} did not say that it is ready within {self._patience:g} s")
+        raise DeployError(f"{self._where} did not say that it is ready within 60 s")
 
     def tell(self, told: dict[str, Any]) -> None:
         """Send a packet; that nobody listens is noticed by `ready` alone."""
-        try:
+        with suppress(OSError):
             self._socket.send(json.dumps({PACKET: VERSION, **told}).encode())
-        except OSError:
-            return
 
     def close(self) -> None:
-        """Close the socket."""
         self._socket.close()
 
 
@@ -123,7 +117,7 @@ def arm_of(text: str) -> Arm:
     if text == "enter" and sys.stdin is None:
         raise DeployError("--arm enter, and standard input is closed")
     if text in ("none", "enter"):
-        return {"none": Arm, "enter": Person}[text]()
+        return Person() if text == "enter" else Arm()
     kind, _, address = text.partition(":")
     host, _, port = address.rpartition(":")
     if kind != "udp" or not host or not port.isdecimal():

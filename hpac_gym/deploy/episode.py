@@ -8,7 +8,6 @@ from contextlib import suppress
 from dataclasses import asdict
 from itertools import count
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self, TextIO
 
 import numpy as np
@@ -17,7 +16,7 @@ from hpac_gym.bridge import HandLink, StreamCounts
 from hpac_gym.bridge.gentle import go, open_hand, release
 from hpac_gym.deploy.arm import Arm
 from hpac_gym.deploy.errors import DeployError, PoseError
-from hpac_gym.deploy.observer import Observer, Pose
+from hpac_gym.deploy.observer import Observer
 from hpac_gym.deploy.poses import Source, averaged
 from hpac_gym.model import SERVOS
 from hpac_gym.model.checks import Array
@@ -33,8 +32,6 @@ AVERAGED = 0.5
 OLDEST = 0.5
 """Greatest age of a pose while the hand closes [s]."""
 LOG_VERSION = 1
-
-Live = Callable[[dict[str, Any]], None]
 
 
 class Log:
@@ -78,12 +75,7 @@ class Log:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         with suppress(OSError):
             if self._file is not None:
                 self._file.close()
@@ -114,8 +106,7 @@ def run_episode(
     hold: float = 2.0,
     seconds: float = AVERAGED,
     oldest: float = OLDEST,
-    patience: float = 5.0,
-    live: Live = lambda _: None,
+    live: Callable[[dict[str, Any]], None] = lambda _: None,
     note: Callable[[str], None] = lambda _: None,
 ) -> StreamCounts:
     """Run one episode on a connected hand; afterwards it is open and without pulses.
@@ -130,7 +121,6 @@ def run_episode(
         hold: time for which the hand holds after the last step, before it opens [s].
         seconds: time over which the first pose is averaged [s].
         oldest: greatest age of a pose while the hand closes [s].
-        patience: longest wait for the first pose [s].
         live: called with every step's figures.
         note: called with what begins before and after the steps.
 
@@ -144,7 +134,7 @@ def run_episode(
     clock = link.exchange.transport.now
     counts = StreamCounts()
     try:
-        pose = averaged(source, seconds, oldest, patience, link.sleep, clock)
+        pose = averaged(source, seconds, oldest, pause=link.sleep, clock=clock)
         observer.expects(pose)
         observer.start()
         observation = observer.see(pose)
@@ -166,10 +156,16 @@ def run_episode(
         for step in range(observer.steps):
             stream.wait()
             phase = observer.phase()
-            latest = _pose_now(source, pose, oldest, phase == closing)
-            arm.tell(_told(observer, phase))
+            offset = observer.wrist_offset()
+            latest, age = source.latest()
+            if age > oldest and phase == closing:
+                raise PoseError(
+                    f"the object's pose is {age:.2g} s old, allowed {oldest:g} s: given up, the hand opens"
+                )
+            arm.tell({"phase": phase, "time": step / CONTROL_HZ, "offset": offset.tolist()})
             if step:  # the first is decided
-                pose = latest
+                if age <= oldest:  # once the hand has closed, fingers and arm hide the object
+                    pose = latest
                 observation = observer.see(pose)
                 given, memory = ask(policy, observation, memory, np.array([False]))
                 action = checked(given, observer)
@@ -187,9 +183,8 @@ def run_episode(
                 sent=servo,
                 hand=link.last_status.servo,
             )
-            seen = {"pose": pose, "offset": observer.wrist_offset()}
             heat = float(link.last_status.heat.max())
-            live(figures | seen | {"heat": heat, "counts": counts})
+            live(figures | {"pose": pose, "offset": offset, "heat": heat, "counts": counts})
         stream.wait()
         stream.close()
         note(f"holds for {hold:g} s")
@@ -204,25 +199,6 @@ def run_episode(
         raise
     link.clear()
     return counts
-
-
-def _told(observer: Observer, phase: str) -> dict[str, Any]:
-    return {
-        "phase": phase,
-        "time": observer.step / CONTROL_HZ,
-        "offset": observer.wrist_offset().tolist(),
-    }
-
-
-def _pose_now(source: Source, last: Pose, oldest: float, closing: bool) -> Pose:
-    """The latest pose; once the hand has closed, fingers and arm hide the object."""
-    latest = source.latest()
-    if latest is None or latest[1] > oldest:
-        if closing:
-            age = "gone" if latest is None else f"{latest[1]:.2g} s old, allowed {oldest:g} s"
-            raise PoseError(f"the object's pose is {age}: given up, the hand opens")
-        return last
-    return latest[0]
 
 
 def checked(given: Array, observer: Observer) -> Array:

@@ -131,25 +131,20 @@ class Packets(Source):
         PoseError: The port cannot be opened.
 
     Attributes:
-        refused: number of packets that were no pose.
-        fault: what was wrong with the last one of them.
+        fault: what was wrong with the last packet that was no pose.
     """
 
     def __init__(self, port: int, clock: Callable[[], float] = monotonic) -> None:
         self._clock = clock
         self._latest: tuple[Pose, float] | None = None
-        self.refused = 0
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.settimeout(0.1)  # before the thread looks whether the port is closed
         try:
             self._socket.bind(("127.0.0.1", port))
-        except OverflowError:
+        except (OSError, OverflowError) as error:
             self._socket.close()
-            raise PoseError(f"--pose udp:{port}: a port is at most 65535") from None
-        except OSError as error:
-            self._socket.close()
-            reason = f"{error.strerror}; does another deployment run?"
-            raise PoseError(f"--pose udp:{port}: {reason}") from None
+            taken = "; does another deployment run?" if isinstance(error, OSError) else ""
+            raise PoseError(f"--pose udp:{port}: {error}{taken}") from None
         self.port = self._socket.getsockname()[1]
         self.where = f"udp:{self.port}"
         self._thread = Thread(target=self._run, name="hpac poses", daemon=True)
@@ -173,7 +168,6 @@ class Packets(Source):
                 self._latest = pose_of(numbers, "packet"), at
             except (PoseError, *MALFORMED) as error:
                 self.fault = f"{error}"
-                self.refused += 1
 
     def latest(self) -> tuple[Pose, float] | None:
         if self._latest is None:
@@ -182,7 +176,6 @@ class Packets(Source):
         return pose, self._clock() - at
 
     def close(self) -> None:
-        """Close the port."""
         self._socket.close()
         self._thread.join()
 
@@ -235,13 +228,12 @@ def source_of(text: str, seen: ObjectSpec | None = None) -> Source:
     if text.endswith(".csv"):
         return Recorded(Path(text))
     try:
-        return Fixed(pose_of([float(part) for part in text.split(",")], "--pose"))
-    except ValueError as error:
-        if isinstance(error, PoseError):
-            raise
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError:
         raise PoseError(
             f"--pose '{text}' is not x,y,z in m, with or without a quaternion, nor udp:PORT, nor a .csv, nor camera:N"
         ) from None
+    return Fixed(pose_of(numbers, "--pose"))
 
 
 def averaged(
@@ -278,18 +270,14 @@ def averaged(
     poses: list[Pose] = []
     until = clock() + seconds
     while True:
-        latest = source.latest()
-        if (
-            latest is not None
-            and latest[1] <= oldest
-            and not any(latest[0] is pose for pose in poses)
-        ):
-            poses.append(latest[0])
+        latest, age = source.latest()
+        if age <= oldest and not any(latest is pose for pose in poses):
+            poses.append(latest)
         if clock() >= until:
             break
         pause(0.02)
     if not poses:
-        raise PoseError(f"the object's pose is {latest[1]:.2g} s old, allowed {oldest:g} s")
+        raise PoseError(f"the object's pose is {age:.2g} s old, allowed {oldest:g} s")
     quaternions = np.array([pose.quaternion for pose in poses])
     # The mean rotation is the first eigenvector of the sum of the outer products.
     _, vectors = np.linalg.eigh(quaternions.T @ quaternions)

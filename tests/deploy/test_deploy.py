@@ -164,7 +164,7 @@ def test_a_file_that_has_no_poses_is_one_line(rows, says, tmp_path):
         source_of(f"{path}")
 
 
-def test_packets_come_by_udp_and_what_is_none_is_counted():
+def test_packets_come_by_udp_and_what_is_none_is_ignored():
     now = [0.0]
     packets = Packets(0, lambda: now[0])
     sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -176,12 +176,12 @@ def test_packets_come_by_udp_and_what_is_none_is_counted():
     )
     for data in wrong:
         sender.send(data)
-    wait_for(lambda: packets.latest() or packets.refused == len(wrong), 10)
+    wait_for(lambda: packets.latest() or "too large" in packets.fault, 10)
     assert packets.latest() is None
     # Nobody asks meanwhile: a pose ages from when it came.
     sender.send(b'{"hpac_pose": 1, "position": [0.05, 0, 0.1]}')
     sender.send(b"{}")
-    wait_for(lambda: packets.refused > len(wrong), 10)
+    wait_for(lambda: "hpac_pose" in packets.fault, 10)
     now[0] = 10.0
     pose, age = packets.latest()
     assert pose.position.tolist() == [0.05, 0, 0.1]
@@ -192,11 +192,11 @@ def test_packets_come_by_udp_and_what_is_none_is_counted():
 
 def test_a_port_that_is_taken_names_the_pose_and_a_likely_cause():
     packets = Packets(0)
-    says = f"--pose udp:{packets.port}: Address already in use; does another deployment run"
+    says = f"--pose udp:{packets.port}: .*Address already in use; does another deployment run"
     with pytest.raises(PoseError, match=says):
         source_of(f"udp:{packets.port}")
     packets.close()
-    with pytest.raises(PoseError, match=r"udp:99999: a port is at most 65535$"):
+    with pytest.raises(PoseError, match=r"udp:99999: .*port must be 0-65535.?$"):
         source_of("udp:99999")
 
 
