@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -29,26 +29,6 @@ _STEP = {"t", "phase", "position", "quaternion", "action", "sent", "hand"}
 """What is read of a log's first line and of a step."""
 
 
-@dataclass(frozen=True, slots=True)
-class Course:
-    """A deployment and its simulation, one row a step."""
-
-    time: Array
-    """Shape (n,) [s]."""
-    sent: Array
-    """Commands that the hand was sent, shape (n, 6) [rad]."""
-    hand: Array
-    """Angles that the hand last reported, shape (n, 6) [rad]."""
-    seen: Array
-    """Where the object was seen, in the hand's frame, shape (n, 3) [m]."""
-    commanded: Array
-    """Commands of the simulation, shape (n, 6) [rad]; NaN after its episode."""
-    simulated: Array
-    """Where the object is in the simulation, shape (n, 3) [m]; NaN after its episode."""
-    outcome: str
-    """How the simulation's episode ended."""
-
-
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of `hpac replay`."""
     parser.add_argument("log", type=Path, help="log of `hpac deploy`")
@@ -66,19 +46,22 @@ def run(options: argparse.Namespace) -> int:
     head, steps, end = read_log(options.log)
     needed = head.get("options", {})
     observer = Observer(head["env_id"], object_of(head["object"]), grasp=head["grasp"], **needed)
-    course = simulated(observer, needed, steps, options.engine)
-    apart = np.abs(course.sent - course.commanded)
+    commanded, simulated, outcome = simulation(observer, needed, steps, options.engine)
+    time, sent, seen = (
+        np.array([row[name] for row in steps]) for name in ("t", "sent", "position")
+    )
+    apart = np.abs(sent - commanded)
     step, servo = np.unravel_index(int(np.nanargmax(apart)), apart.shape)
-    distance = np.linalg.norm(course.seen - course.simulated, axis=1)
-    beyond = np.flatnonzero(distance > APART_M)
+    distance = np.linalg.norm(seen - simulated, axis=1)
+    beyond = time[distance > APART_M].tolist()
     played = int(np.isfinite(distance).sum())
     early = f" after {played} steps, before the end of the log" if played < len(steps) else ""
-    where = f"apart from {course.time[beyond[0]]:.2f} s on" if beyond.size else "together"
+    where = f"apart from {beyond[0]:.2f} s on" if beyond else "together"
     text = f"""\
 {head["policy"]} on {head["port"]}, {len(steps)} steps, ended: {end}
-commands: at most {apart[step, servo]:.3f} rad from the simulation's, {SERVOS[servo]} at {course.time[step]:.2f} s
+commands: at most {apart[step, servo]:.3f} rad from the simulation's, {SERVOS[servo]} at {time[step]:.2f} s
 object: at most {1e3 * np.nanmax(distance):.0f} mm from the simulated one, {where}
-the simulation: {course.outcome}{early}"""
+the simulation: {outcome}{early}"""
     say(
         options.json,
         text,
@@ -88,12 +71,12 @@ the simulation: {course.outcome}{early}"""
         end=end,
         command_error_rad=float(apart[step, servo]),
         object_error_m=float(np.nanmax(distance)),
-        apart_from_s=float(course.time[beyond[0]]) if beyond.size else None,
-        simulation=course.outcome,
+        apart_from_s=beyond[0] if beyond else None,
+        simulation=outcome,
         simulated_steps=played,
     )
     if options.out:
-        save(figure_of(course), options.out)
+        save(figure_of(time, sent, commanded, seen, simulated), options.out)
         say(options.json, f"written: {options.out}", written=str(options.out))
     if options.view:
         from hpac_gym.deploy.watching import show_log
@@ -119,15 +102,14 @@ def read_log(path: Path) -> tuple[dict[str, Any], list[dict[str, Any]], str]:
             row = None
         if not isinstance(row, dict):
             raise DeployError(f"log {path}, line {number}: no JSON object")
-        rows.append(row)
-    if not rows or rows[0].get("hpac_deploy") != LOG_VERSION:
-        raise DeployError(
-            f"log {path}: line 1 must be that of `hpac deploy`, version {LOG_VERSION}"
-        )
-    for number, row in enumerate(rows, 1):
+        if number == 1 and row.get("hpac_deploy") != LOG_VERSION:
+            raise DeployError(
+                f"log {path}: line 1 must be that of `hpac deploy`, version {LOG_VERSION}"
+            )
         needed = _HEAD if number == 1 else _STEP if "step" in row else set()
         if missing := needed - row.keys():
             raise DeployError(f"log {path}, line {number}: without {', '.join(sorted(missing))}")
+        rows.append(row)
     steps = [row for row in rows[1:] if "step" in row]
     if not steps:
         raise DeployError(f"log {path}: it has no steps")
@@ -135,19 +117,19 @@ def read_log(path: Path) -> tuple[dict[str, Any], list[dict[str, Any]], str]:
     return rows[0], steps, end
 
 
-def simulated(
+def simulation(
     observer: Observer, options: dict[str, Any], steps: list[dict[str, Any]], engine: str
-) -> Course:
+) -> tuple[Array, Array, str]:
     """The same actions on a simulated hand, whose object stands where it was seen first; `options`
     are of the environment.
+
+    Returns:
+        Commands, shape (n, 6) [rad]; where the object is, shape (n, 3) [m], both NaN after the end
+        of the episode; and its outcome.
     """
-    place = np.array(steps[0]["position"])
-    setup = replace(observer.setup, position=place)
-    time, sent, hand, seen = (
-        np.array([row[name] for row in steps]) for name in ("t", "sent", "hand", "position")
-    )
-    commanded = np.full(sent.shape, np.nan)
-    positions = np.full(seen.shape, np.nan)
+    setup = replace(observer.setup, position=np.array(steps[0]["position"]))
+    commanded = np.full((len(steps), len(SERVOS)), np.nan)
+    positions = np.full((len(steps), 3), np.nan)
     with make_env(observer.spec.id, engine=engine, **options) as env:
         env.reset(seed=0, options={"setup": setup})
         bare = env.unwrapped
@@ -157,19 +139,27 @@ def simulated(
             commanded[i] = bare.command.servo
             if over:
                 break
-    return Course(time, sent, hand, seen, commanded, positions, info["outcome"])
+    return commanded, positions, info["outcome"]
 
 
-def figure_of(course: Course) -> Any:
-    """Commands above, the object below; the simulation is dashed."""
+def figure_of(time: Array, sent: Array, commanded: Array, seen: Array, simulated: Array) -> Any:
+    """Commands above, the object below; the simulation is dashed.
+
+    Args:
+        time: of every step, shape (n,) [s].
+        sent: commands of the hand, shape (n, 6) [rad].
+        commanded: commands of the simulation, shape (n, 6) [rad].
+        seen: where the object was seen, shape (n, 3) [m].
+        simulated: where it is in the simulation, shape (n, 3) [m].
+    """
     figure = new_figure(9, 6)
     upper, lower = figure.subplots(2, 1, sharex=True)
     for i, name in enumerate(SERVOS):
-        (line,) = upper.plot(course.time, course.sent[:, i], label=name)
-        upper.plot(course.time, course.commanded[:, i], "--", color=line.get_color())
+        (line,) = upper.plot(time, sent[:, i], label=name)
+        upper.plot(time, commanded[:, i], "--", color=line.get_color())
     for i, axis in enumerate("xyz"):
-        (line,) = lower.plot(course.time, 1e3 * course.seen[:, i], label=f"{axis}, seen")
-        lower.plot(course.time, 1e3 * course.simulated[:, i], "--", color=line.get_color())
+        (line,) = lower.plot(time, 1e3 * seen[:, i], label=f"{axis}, seen")
+        lower.plot(time, 1e3 * simulated[:, i], "--", color=line.get_color())
     upper.set_ylabel("command [rad], simulated dashed")
     lower.set_ylabel("object in the hand's frame [mm]")
     lower.set_xlabel("time [s]")

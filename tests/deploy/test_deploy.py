@@ -30,7 +30,7 @@ from hpac_gym.deploy.episode import Log, run_episode, wire_log
 from hpac_gym.deploy.errors import DeployError, PoseError
 from hpac_gym.deploy.observer import TASKS, UPRIGHT, Observer, Pose
 from hpac_gym.deploy.poses import Fixed, Packets, Recorded, averaged, pose_of, source_of
-from hpac_gym.deploy.replay import Course, figure_of
+from hpac_gym.deploy.replay import figure_of
 from hpac_gym.deploy.watching import watched
 from hpac_gym.figures import save
 from hpac_gym.model import HPAC
@@ -768,8 +768,7 @@ def test_nothing_is_compared_after_the_end_of_the_simulation(tmp_path, capsys):
 
 def test_no_legend_lies_on_a_curve(tmp_path):
     time = np.linspace(0, 4, 60)
-    course = Course(time, *(np.outer(time, np.ones(n)) for n in (6, 6, 3, 6, 3)), "success")
-    figure = figure_of(course)
+    figure = figure_of(time, *(np.outer(time, np.ones(n)) for n in (6, 6, 3, 3)))
     save(figure, tmp_path / "course.png")
     for axes in figure.axes:
         assert axes.get_legend().get_window_extent().x0 > axes.get_window_extent().x1
@@ -798,7 +797,7 @@ def test_a_log_that_was_cut_short_is_read(log, capsys):
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("", "line 1 must be that of `hpac deploy`, version 1"),
+        ("", "it has no steps"),
         ("{}\n", "line 1 must be that of `hpac deploy`, version 1"),
         ('{"hpac_deploy": 1, "env_id": ""}\n', "line 1: without grasp, object, policy, port"),
         (f"{HEAD}\n", "it has no steps"),
