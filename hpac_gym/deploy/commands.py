@@ -7,7 +7,7 @@ import argparse
 import hashlib
 import sys
 import time
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, closing, suppress
 from pathlib import Path
 from typing import Any
 
@@ -112,8 +112,7 @@ def run(options: argparse.Namespace) -> int:
     observer = Observer(env_id, thing, hand, options.grasp, **needed_options(options.policy))
     policy = load_policy(options.policy, observer, options.normalize)
     with ExitStack() as stack:
-        source = source_of(options.pose, thing)
-        stack.callback(source.close)
+        source = stack.enter_context(closing(source_of(options.pose, thing)))
         if options.dry_run:
             _dry_run(options, observer, policy, source)
             return 0
@@ -124,10 +123,9 @@ def run(options: argparse.Namespace) -> int:
                 f"{options.policy} places the wrist ({', '.join(observer.task.wrist_actions)}), "
                 "and --arm none moves none: take --arm enter or --arm udp:HOST:PORT"
             )
-        arm = arm_of(options.arm)
-        stack.callback(arm.close)
-        transport = open_transport(connector(options.port, stack))  # or no log is begun
-        stack.callback(transport.close)
+        arm = stack.enter_context(closing(arm_of(options.arm)))
+        port = connector(options.port, stack)
+        transport = stack.enter_context(closing(open_transport(port)))  # or no log is begun
         log = stack.enter_context(Log(options.log))
         log.write(hpac_deploy=LOG_VERSION, **_head(options, observer))
         wire = stack.enter_context(WireLog(wire_log(options.log)))
@@ -206,18 +204,18 @@ def _dry_run(options: argparse.Namespace, observer: Observer, policy: Any, sourc
     print("dry run: nothing was sent")
 
 
-def _note(text: str) -> None:
+def _note(text: str, end: str = "\n") -> None:
     """A line of its own, over the one of the steps."""
+    text = f"\r{text:<90}" if sys.stderr.isatty() else text
     with suppress(OSError):
-        print(f"\r{text:<90}" if sys.stderr.isatty() else text, file=sys.stderr, flush=True)
+        print(text, end=end, file=sys.stderr, flush=True)
 
 
 def _live(now: dict[str, Any]) -> None:
     """One line that is written over and over."""
     counts = now["counts"]
-    text = (
+    _note(
         f"{now['t']:5.2f} s  {now['phase']:<8} heat {now['heat']:4.0%}  late {counts.late}  "
-        f"lost {counts.lost}  refused {counts.refused}  worst delay {1e3 * counts.worst_delay:.1f} ms"
+        f"lost {counts.lost}  refused {counts.refused}  worst delay {1e3 * counts.worst_delay:.1f} ms",
+        end="",
     )
-    with suppress(OSError):
-        print(f"\r{text:<90}", end="", file=sys.stderr, flush=True)
