@@ -7,22 +7,26 @@ one ended. ``--blind`` instead prints the closure that holds the most episodes o
 found by successive elimination, and evaluates it on the held-out seeds."""
 
 import sys
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass
+from functools import cache
 from pathlib import Path
 
 import gymnasium
 import numpy as np
 
 from hpac_gym.command import command_parser, run, whole_number
-from hpac_gym.evaluation import blind
-from hpac_gym.evaluation.blind import COLUMNS, FILE, Blind, Closure, Try, share_found
+from hpac_gym.evaluation.blind import Blind, Closure
 from hpac_gym.evaluation.episodes import run_episodes, single
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import rate_text
-from hpac_gym.evaluation.workers import worker_pool
+from hpac_gym.evaluation.workers import shared
+from hpac_gym.model import SERVO_INDEX, SERVOS
 from hpac_gym.output import write_text
 
 ENV_ID = "HPAC-Grasp-v0"
-TARGET = Path(blind.__file__).parent / "data" / FILE
+TARGET = Path(__file__).with_name("grasp_closures.csv")
+COLUMNS = ("seed", "tries", *SERVOS, "steps", "lead")
 TRIES = 256
 """Most closures that are tried for a seed."""
 ROUNDS = ((128, 4), (32, 12), (8, 40), (2, 120))
@@ -30,44 +34,85 @@ ROUNDS = ((128, 4), (32, 12), (8, 40), (2, 120))
 one.
 """
 
-_env: gymnasium.Env
+
+@dataclass(frozen=True, slots=True)
+class Try:
+    """Result of the search for one held-out seed."""
+
+    seed: int
+    tries: int
+    """Number of closures tried, up to the first success."""
+    closure: Closure | None
+    """The first successful closure; None if none succeeded."""
+
+    def row(self) -> str:
+        """The result as a line of the file."""
+        values = () if self.closure is None else (*self.closure.goal, *astuple(self.closure)[1:])
+        return ",".join(map(str, (self.seed, self.tries, *(values or [""] * (len(COLUMNS) - 2)))))
+
+    @classmethod
+    def of_row(cls, row: str) -> "Try":
+        """Parse a line of the file."""
+        seed, tries, *values = row.split(",")
+        if not values[0]:
+            return cls(int(seed), int(tries), None)
+        *goal, steps, lead = map(float, values)
+        return cls(int(seed), int(tries), Closure(tuple(goal), steps, lead))
 
 
-def prepare(engine: str) -> None:
-    """Create the environment of this process."""
-    global _env
-    _env = gymnasium.make(f"hpac_gym:{ENV_ID}", engine=engine)
+def winning_closures() -> list[Try]:
+    """Entries of the committed file, one per held-out seed."""
+    _, *rows = TARGET.read_text(encoding="utf-8").splitlines()
+    return [Try.of_row(row) for row in rows]
 
 
-def holds(closure: Closure, seed: int) -> bool:
+def share_found(tries: Sequence[Try], within: int) -> float:
+    """Share of the seeds for which one of the first ``within`` closures succeeded."""
+    return float(np.mean([found.closure is not None and found.tries <= within for found in tries]))
+
+
+def drawn(rng: np.random.Generator) -> Closure:
+    """A random closure to targets between half open and closed, in 0.4 to 1.1 s."""
+    goal = rng.uniform(-0.2, 1.0, len(SERVOS))
+    goal[SERVO_INDEX["thumb_cmc"]] = rng.uniform(-0.2, 0.9)
+    steps = rng.uniform(8.0, 22.0)
+    lead = rng.uniform(-6.0, 6.0)
+    return Closure(tuple(goal.round(3).tolist()), round(steps, 2), round(lead, 2))
+
+
+@cache
+def _env(engine: str) -> gymnasium.Env:
+    """The environment of this process."""
+    return gymnasium.make(f"hpac_gym:{ENV_ID}", engine=engine)
+
+
+def holds(closure: Closure, seed: int, engine: str) -> bool:
     """Whether a closure succeeds in the episode of a seed."""
-    *_, last = run_episodes(single(_env), [Blind(_env, closure)], [seed])
+    env = _env(engine)
+    *_, last = run_episodes(single(env), [Blind(env, closure)], [seed])
     return last.success
 
 
-def search(seed: int) -> Try:
+def search(seed: int, engine: str) -> Try:
     """Search the first successful closure of a seed, among at most `TRIES`."""
     rng = np.random.default_rng([seed, 2])
     for tries in range(1, TRIES + 1):
-        closure = Closure.drawn(rng)
-        if holds(closure, seed):
+        closure = drawn(rng)
+        if holds(closure, seed, engine):
             return Try(seed, tries, closure)
     return Try(seed, TRIES, None)
 
 
-def wins(closure: Closure, first_seed: int, episodes: int) -> int:
+def wins(closure: Closure, first_seed: int, episodes: int, engine: str) -> int:
     """Number of episodes in which a closure succeeds."""
-    return sum(holds(closure, first_seed + number) for number in range(episodes))
+    return sum(holds(closure, first_seed + number, engine) for number in range(episodes))
 
 
-def search_all(work, seeds: range) -> None:
+def search_all(seeds: range, engine: str, workers: int) -> None:
     """Search and write the closures that are missing in the file."""
-    rows = (
-        TARGET.read_text(encoding="utf-8").splitlines() if TARGET.exists() else [",".join(COLUMNS)]
-    )
-    known = {result.seed: result for result in map(Try.of_row, rows[1:])}
+    known = {result.seed: result for result in winning_closures()} if TARGET.exists() else {}
     missing = [seed for seed in seeds if seed not in known]
-    for result in work(search, ((seed,) for seed in missing)):
+    for result in shared(search, ((seed, engine) for seed in missing), workers):
         known[result.seed] = result
         ordered = [known[seed].row() for seed in sorted(known)]
         write_text(TARGET, "\n".join([",".join(COLUMNS), *ordered, ""]))
@@ -78,14 +123,14 @@ def search_all(work, seeds: range) -> None:
         )
 
 
-def search_blind(work, seeds: range) -> None:
+def search_blind(seeds: range, engine: str, workers: int) -> None:
     """Search the best blind closure in ``ROUNDS`` and print it."""
     rng = np.random.default_rng(0)
     met = 0
-    field = [(0, Closure.drawn(rng)) for _ in range(ROUNDS[0][0])]
+    field = [(0, drawn(rng)) for _ in range(ROUNDS[0][0])]
     for left, episodes in ROUNDS:
         field = field[:left]
-        won = work(wins, [(closure, met, episodes) for _, closure in field])
+        won = shared(wins, [(closure, met, episodes, engine) for _, closure in field], workers)
         field = sorted(
             ((held + more, closure) for (held, closure), more in zip(field, won, strict=True)),
             key=lambda entry: -entry[0],
@@ -97,7 +142,7 @@ def search_blind(work, seeds: range) -> None:
             flush=True,
         )
     best = field[0][1]
-    held = sum(work(wins, [(best, seed, 1) for seed in seeds]))
+    held = sum(shared(holds, [(best, seed, engine) for seed in seeds], workers))
     print(f"{best}\nbest blind closure: {rate_text(held, len(seeds))}")
 
 
@@ -116,8 +161,8 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--workers", type=whole_number(1), default=1, help="number of processes")
     args = parser.parse_args(argv)
     seeds = range(HELD_OUT_SEED, HELD_OUT_SEED + args.seeds)
-    with worker_pool(args.workers, prepare, (args.engine,)) as work:
-        (search_blind if args.blind else search_all)(work, seeds)
+    find = search_blind if args.blind else search_all
+    find(seeds, args.engine, args.workers)
     return 0
 
 

@@ -7,10 +7,10 @@ from typing import Any
 
 from experiments.results import mean_of, percent
 from hpac_gym.evaluation import results, splits
-from hpac_gym.evaluation.blind import scale_of, share_found, winning_closures
+from hpac_gym.evaluation.blind import SCALE
 from hpac_gym.evaluation.statistics import rate_text
 from hpac_gym.output import markdown
-from hpac_gym.registration import GRASP
+from tools.blind_search import share_found, winning_closures
 
 DOCS = Path(__file__).parents[1] / "docs"
 GENTLE_LIMITS = ("2.5 to 3 N", "3 to 4 N", "4 to 5 N", "all")
@@ -28,7 +28,6 @@ def scale_table() -> str:
     and its score.
     """
     tries = winning_closures()
-    scale = scale_of(GRASP)
     most = max(found.tries for found in tries)
     names = {
         1: "a random closure: the floor",
@@ -38,7 +37,7 @@ def scale_table() -> str:
     rows = []
     for within, name in names.items():
         won = round(share_found(tries, within) * len(tries))
-        rows.append((name, rate_text(won, len(tries)), f"{scale.score(won / len(tries)):.2f}"))
+        rows.append((name, rate_text(won, len(tries)), f"{SCALE.score(won / len(tries)):.2f}"))
     return markdown((f"first {len(tries)} held-out seeds", "success", "score"), rows)
 
 

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from hpac_gym.command import plain_warnings
 from hpac_gym.errors import HpacError
@@ -20,34 +20,37 @@ AHEAD = 8
 than fit into memory.
 """
 Result = TypeVar("Result")
-Work = Callable[[Callable[..., Result], Iterable[tuple]], Iterator[Result]]
 
 
 class WorkerError(HpacError, RuntimeError):
     """A worker process was ended from outside."""
 
 
-@contextmanager
-def worker_pool(
-    count: int, prepare: Callable[..., None] | None = None, arguments: tuple = ()
-) -> Iterator[Work]:
-    """A pool of ``count`` processes, each of which first calls ``prepare(*arguments)``.
+def shared(
+    function: Callable[..., Result], jobs: Iterable[tuple], count: int, label: str = ""
+) -> Iterator[Result]:
+    """Results of ``function(*job)`` in the order of the jobs, computed by ``count`` processes; 1 is
+    the calling process. With a label they come with a progress bar, and the jobs must be a list.
 
-    The block gets a function that returns the results of ``function(*job)`` in the order of the
-    jobs. When the block ends, also by an error or Ctrl-C, the processes are killed at once.
+    At the end, also by an error or Ctrl-C, or when the iterator is closed, the processes are killed
+    at once.
 
     Raises:
         WorkerError: A process was ended from outside, for example by a system that is out of
             memory.
     """
-    pool = ProcessPoolExecutor(
-        count, multiprocessing.get_context("spawn"), _start, (prepare, arguments)
-    )
-
-    def work(function: Callable[..., Result], jobs: Iterable[tuple]) -> Iterator[Result]:
-        # Not pool.map: it cancels its futures in this thread, and the pool's own thread prints a
-        # traceback for a cancelled one.
-        futures = deque()
+    if label:
+        done = shared(function, jobs, count)
+        yield from (result for _, result in zip(progress(jobs, label), done, strict=True))
+        return
+    if count == 1:
+        yield from (function(*job) for job in jobs)
+        return
+    pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), _start)
+    # Not pool.map: it cancels its futures in this thread, and the pool's own thread prints a
+    # traceback for a cancelled one.
+    futures = deque()
+    try:
         for job in jobs:
             with _interrupts_held():
                 futures.append(pool.submit(function, *job))
@@ -55,9 +58,6 @@ def worker_pool(
                 yield futures.popleft().result()
         while futures:
             yield futures.popleft().result()
-
-    try:
-        yield work
     except BrokenProcessPool:
         raise WorkerError(
             f"one of {count} worker processes was ended from outside: is there memory for so many?"
@@ -69,25 +69,6 @@ def worker_pool(
             process.kill()
         pool._result_queue._writer.close()
         pool.shutdown(cancel_futures=True)
-
-
-def shared(
-    function: Callable[..., Result], jobs: Iterable[tuple], count: int, label: str = ""
-) -> Iterator[Result]:
-    """Results of ``function(*job)`` in the order of the jobs, computed by ``count`` processes; 1 is
-    the calling process. With a label they come with a progress bar, and the jobs must be a list.
-
-    Raises:
-        WorkerError: As in `worker_pool`.
-    """
-    if label:
-        done = shared(function, jobs, count)
-        yield from (result for _, result in zip(progress(jobs, label), done, strict=True))
-    elif count == 1:
-        yield from (function(*job) for job in jobs)
-    else:
-        with worker_pool(count) as work:
-            yield from work(function, jobs)
 
 
 @contextmanager
@@ -107,11 +88,9 @@ def _interrupts_held() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _start(prepare: Callable[..., None] | None, arguments: tuple[Any, ...]) -> None:
+def _start() -> None:
     plain_warnings()
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    if prepare:
-        prepare(*arguments)
 
 
 def _end_with_parent() -> None:

@@ -13,7 +13,7 @@ import pytest
 
 from hpac_gym import progress
 from hpac_gym.errors import WorkspaceError
-from hpac_gym.evaluation.workers import AHEAD, WorkerError, shared, worker_pool
+from hpac_gym.evaluation.workers import AHEAD, WorkerError, shared
 
 JOBS = [(number, 2) for number in range(7)]
 DONE = [2 * number for number in range(7)]
@@ -48,16 +48,12 @@ def test_a_label_shows_how_many_jobs_are_done_on_a_terminal(capsys, monkeypatch)
     assert "7/7" in seen
 
 
-def test_workers_give_results_in_order_and_errors_and_tell_when_one_is_ended_from_outside():
-    def work_and_die() -> None:
-        with worker_pool(2) as work:
-            assert list(work(product, JOBS)) == DONE
-            with pytest.raises(WorkspaceError, match="0 rad is above 2 rad"):
-                list(work(refuse, JOBS))
-            list(work(die, JOBS))
-
+def test_two_processes_work_in_order_raise_errors_and_tell_when_one_is_ended_from_outside():
+    assert list(shared(product, JOBS, 2)) == DONE
+    with pytest.raises(WorkspaceError, match="0 rad is above 2 rad"):
+        list(shared(refuse, JOBS, 2))
     with pytest.raises(WorkerError, match="ended from outside"):
-        work_and_die()
+        list(shared(die, JOBS, 2))
 
 
 def test_workers_take_jobs_as_they_need_them():
