@@ -28,7 +28,7 @@ ROOMS = {
     "calibration": {"numpy", "scipy", "matplotlib"},
     "physics": {"numpy", "scipy", "pybullet", "mujoco"},
     "tasks": {"numpy", "scipy", "gymnasium"},
-    "view": {"numpy", "scipy", "viser"},
+    "view": {"numpy", "scipy", "trimesh", "viser"},
     "envs": {"numpy", "gymnasium", "stable_baselines3"},
     "policies": {"numpy", "gymnasium", "onnx", "onnxruntime", "stable_baselines3"},
     "evaluation": {"numpy", "scipy", "gymnasium", "PIL", "minari", "lerobot", "tqdm"},

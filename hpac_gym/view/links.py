@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 import viser
 from scipy.spatial.transform import Rotation
+from trimesh import Trimesh
 
 from hpac_gym.body.geometry import Phalanx, rotation_from_rpy
 from hpac_gym.model import DIGITS, JOINT_INDEX
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import HAND_POSITION, SceneSetup
-from hpac_gym.view.meshes import Mesh, hand_meshes
+from hpac_gym.view.meshes import Color, hand_meshes
 from hpac_gym.view.shown import GHOSTS
 
 STRONG = 20.0
@@ -20,9 +21,11 @@ PULLED_COLOR = np.array([255, 150, 20])
 """Colours of a slack and of a pulled tendon, which differ for colour-blind people too, RGB."""
 
 
-def add_mesh(server: viser.ViserServer, name: str, mesh: Mesh, **more: object) -> None:
-    color = tuple(round(255 * part) for part in mesh.color[:3])
-    given = {"color": color, "flat_shading": mesh.flat, "cast_shadow": False, **more}
+def add_mesh(
+    server: viser.ViserServer, name: str, mesh: Trimesh, rgb: Color, **look: object
+) -> None:
+    """Show a mesh, with its own colour and without a shadow unless `look` says otherwise."""
+    given = {"color": rgb[:3], "cast_shadow": False, **look}
     server.scene.add_mesh_simple(name, mesh.vertices, mesh.faces, **given)
 
 
@@ -52,9 +55,9 @@ class Links:
             if not ghost:
                 self._add_tendon(server, path, phalanx)
         look = {"color": GHOSTS[ghost][1], "opacity": 0.35} if ghost else {}
-        for index, (link, mesh) in enumerate(hand_meshes(geometry)):
+        for index, (link, mesh, color) in enumerate(hand_meshes(geometry)):
             if not (ghost and link == "palm"):
-                add_mesh(server, f"{paths[link]}/mesh_{index}", mesh, **look)
+                add_mesh(server, f"{paths[link]}/mesh_{index}", mesh, color, **look)
         self._told = np.full(len(DIGITS), -1)
 
     def _add_tendon(self, server: viser.ViserServer, path: str, phalanx: Phalanx) -> None:

@@ -1,118 +1,87 @@
-"""The solids of hand, object and supports as triangles."""
+"""The solids of hand, object and supports as triangles [m]. The page shades smoothly, so that sharp
+edges have vertices of their own on either side."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
+from trimesh import Trimesh, creation
 
 from hpac_gym.body.geometry import Box, Capsule, Geometry
 from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.body.urdf import COLORS
-from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import OBJECT_COLORS
 
 AROUND = 28
 """Corners of a circle."""
 Color = tuple[float, ...]
+"""RGB or RGBA, each in [0, 1]."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Mesh:
-    """Triangles in the frame of their body."""
-
-    vertices: Array
-    """Shape (n, 3) [m]."""
-    faces: NDArray[np.int_]
-    """Shape (m, 3)."""
-    color: Color
-    """RGB, each in [0, 1]."""
-    flat: bool = False
-    """Whether its edges are sharp."""
-
-    def moved(self, place: Array, turn: Rotation | None = None) -> Mesh:
-        """The mesh turned, and moved by a way, shape (3,) [m]."""
-        turned = self.vertices if turn is None else turn.apply(self.vertices)
-        return Mesh(turned + place, self.faces, self.color, self.flat)
+def moved(mesh: Trimesh, place: ArrayLike, turn: Rotation | None = None) -> Trimesh:
+    """The mesh, which is turned, and moved by a way, shape (3,) [m]."""
+    turned = mesh.vertices if turn is None else turn.apply(mesh.vertices)
+    mesh.vertices = turned + place
+    return mesh
 
 
-def revolved(profile: Array, color: Color) -> Mesh:
-    """A solid of revolution about z, for radii and heights from below upwards, shape (k, 2) [m]."""
-    turn = np.linspace(0, 2 * np.pi, AROUND, endpoint=False)
-    radius, height = np.asarray(profile, dtype=float).T
-    vertices = np.stack(
-        [
-            np.outer(radius, np.cos(turn)),
-            np.outer(radius, np.sin(turn)),
-            np.repeat(height[:, None], AROUND, axis=1),
-        ],
-        axis=2,
-    ).reshape(-1, 3)
-    here = np.arange(AROUND)
-    beside = (here + 1) % AROUND
-    rows = AROUND * np.arange(len(profile) - 1)[:, None]
-    lower = np.stack([rows + here, rows + beside, rows + AROUND + beside], axis=2)
-    upper = np.stack([rows + here, rows + AROUND + beside, rows + AROUND + here], axis=2)
-    return Mesh(vertices, np.concatenate([lower, upper]).reshape(-1, 3), color)
-
-
-def solid(kind: str, half: tuple[float, float, float], color: Color) -> Mesh:
+def solid(kind: str, half: ArrayLike) -> Trimesh:
     """A sphere, capsule, cylinder or box about the origin with its axis along z, by the half
-    extents of its bounding box [m].
+    extents of its bounding box, shape (3,) [m].
     """
-    x, y, z = half
+    x, _, z = half
     if kind == "box":
-        corners = np.array([[i, j, k] for i in (-x, x) for j in (-y, y) for k in (-z, z)])
-        quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-        faces = [face for a, b, c, d in quads for face in ((a, b, c), (a, c, d))]
-        return Mesh(corners, np.array(faces), color, flat=True)
-    if kind == "cylinder":  # each edge twice, so that it stays sharp
-        return revolved(np.array([(0, -z), (x, -z), (x, -z), (x, z), (x, z), (0, z)]), color)
-    bow = np.linspace(-np.pi / 2, np.pi / 2, 16)
-    ends = np.sign(bow) * max(z - x, 0.0)
-    return revolved(np.stack([x * np.cos(bow), x * np.sin(bow) + ends], axis=1), color)
+        box = creation.box(2 * np.asarray(half))
+        box.unmerge_vertices()
+        return box
+    if kind == "cylinder":
+        profile = np.array([(0, -z), (x, -z), (x, -z), (x, z), (x, z), (0, z)])
+    else:
+        bow = np.linspace(-np.pi / 2, np.pi / 2, 16)
+        ends = np.sign(bow) * max(z - x, 0.0)
+        profile = np.stack([x * np.cos(bow), x * np.sin(bow) + ends], axis=1)
+    # In mm: trimesh leaves out triangles smaller than 1e-8.
+    return creation.revolve(1e3 * profile, sections=AROUND, process=False).apply_scale(1e-3)
 
 
-def _of_hand(part: Box | Capsule, color: Color) -> Mesh:
+def _of_hand(part: Box | Capsule) -> Trimesh:
     if isinstance(part, Box):
-        size = np.array(part.size) / 2
-        return solid("box", tuple(size.tolist()), color).moved(np.array(part.center))
+        return moved(solid("box", np.array(part.size) / 2), part.center)
     way = np.subtract(part.end, part.start)
     length = float(np.linalg.norm(way))
     half = (part.radius, part.radius, part.radius + length / 2)
     turn = Rotation.align_vectors([way], [[0, 0, 1]])[0] if length else None
-    return solid("capsule", half, color).moved(np.add(part.start, part.end) / 2, turn)
+    return moved(solid("capsule", half), np.add(part.start, part.end) / 2, turn)
 
 
-def hand_meshes(geometry: Geometry) -> Iterator[tuple[str, Mesh]]:
-    """Every mesh of a hand, with the link in whose frame it is."""
+def hand_meshes(geometry: Geometry) -> Iterator[tuple[str, Trimesh, Color]]:
+    """Every mesh of a hand with its colour, and the link in whose frame it is."""
     for part in geometry.palm_solids:
-        yield "palm", _of_hand(part, COLORS["palm" if isinstance(part, Box) else "housing"])
+        yield "palm", _of_hand(part), COLORS["palm" if isinstance(part, Box) else "housing"]
     for digit in geometry.digits:
         for phalanx in digit.phalanges:
             radius = phalanx.capsule.radius
             side = (0.0, 0.75 * radius, 0.0)
             hinge = Capsule(tuple(-value for value in side), side, 0.5 * radius)
-            yield phalanx.link, _of_hand(phalanx.capsule, COLORS["phalanx"])
-            yield phalanx.link, _of_hand(hinge, COLORS["hinge"])
-        tip = (1.003 * radius,) * 3
-        pad = solid("sphere", tip, COLORS["pad"]).moved(np.array(phalanx.capsule.end))
-        yield phalanx.link, pad
+            yield phalanx.link, _of_hand(phalanx.capsule), COLORS["phalanx"]
+            yield phalanx.link, _of_hand(hinge), COLORS["hinge"]
+        pad = solid("sphere", (1.003 * radius,) * 3)
+        yield phalanx.link, moved(pad, phalanx.capsule.end), COLORS["pad"]
 
 
-def object_meshes(spec: ObjectSpec) -> Iterator[Mesh]:
-    """The solids of an object, in its frame."""
+def object_meshes(spec: ObjectSpec) -> Iterator[tuple[Trimesh, Color]]:
+    """The solids of an object in its frame, with their colour."""
     if spec.model is None:
-        yield solid(spec.shape, spec.half_extents, OBJECT_COLORS[spec.shape])
+        yield solid(spec.shape, spec.half_extents), OBJECT_COLORS[spec.shape]
         return
     for part in spec.model.solids:
         if part.hull is not None:
-            whole = Mesh(part.hull.vertices, part.hull.faces, spec.model.color, flat=True)
+            mesh = Trimesh(part.hull.vertices, part.hull.faces, process=False)
+            mesh.unmerge_vertices()
         else:
-            half = tuple((np.array(part.size) / 2).tolist())
-            whole = solid(part.kind, half, spec.model.color)
-        moved = whole.moved(part.center, Rotation.from_matrix(part.rotation))
-        yield Mesh(spec.scale * moved.vertices, moved.faces, moved.color, moved.flat)
+            mesh = solid(part.kind, np.array(part.size) / 2)
+        mesh = moved(mesh, part.center, Rotation.from_matrix(part.rotation))
+        yield mesh.apply_scale(spec.scale), spec.model.color

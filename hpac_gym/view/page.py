@@ -20,7 +20,7 @@ from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import HAND_POSITION, SceneSetup
 from hpac_gym.physics.supports import GREEN, GREY, TABLE_HALF_EXTENTS, WOOD, support_boxes
 from hpac_gym.view.links import Links, add_mesh
-from hpac_gym.view.meshes import object_meshes, solid
+from hpac_gym.view.meshes import moved, object_meshes, solid
 from hpac_gym.view.shown import GHOSTS, Shown
 
 PICTURE_HZ = 20
@@ -106,20 +106,21 @@ class HandPage:
 
     def _draw_object(self, setup: SceneSetup) -> None:
         self._object = self._server.scene.add_frame("/scene/object", show_axes=False)
-        for index, mesh in enumerate(object_meshes(setup.object)):
-            add_mesh(self._server, f"/scene/object/{index}", mesh)
+        for index, (mesh, color) in enumerate(object_meshes(setup.object)):
+            add_mesh(self._server, f"/scene/object/{index}", mesh, color)
         if not self._supports:
             return
         boxes, table, target, (x, y, z, w) = support_boxes(setup)
         turn = Rotation.from_quat((x, y, z, w))
         for index, (half, place) in enumerate(boxes):
-            box = solid("box", tuple(half), GREY[:3]).moved(place, turn)
-            add_mesh(self._server, f"/scene/support/{index}", box)
-        top = solid("box", TABLE_HALF_EXTENTS, WOOD[:3])
-        add_mesh(self._server, "/scene/support/table", top.moved(table))
+            box = moved(solid("box", half), place, turn)
+            add_mesh(self._server, f"/scene/support/{index}", box, GREY)
+        top = moved(solid("box", TABLE_HALF_EXTENTS), table)
+        add_mesh(self._server, "/scene/support/table", top, WOOD)
         if target is not None:
-            post = solid("box", tuple(target[0]), GREEN[:3])
-            add_mesh(self._server, "/scene/support/target", post.moved(target[1]))
+            half, place = target
+            post = moved(solid("box", half), place)
+            add_mesh(self._server, "/scene/support/target", post, GREEN)
 
     # Controls -----------------------------------------------------------------------------
 

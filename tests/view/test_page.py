@@ -24,12 +24,6 @@ from tests.processes import wait_for
 HALF = (0.02, 0.02, 0.05)
 
 
-def volume(mesh):
-    """By the divergence theorem: positive if every triangle is counter-clockwise from outside."""
-    corners = mesh.vertices[mesh.faces]
-    return np.linalg.det(corners).sum() / 6
-
-
 @pytest.mark.parametrize(
     ("kind", "half", "expected"),
     [
@@ -40,20 +34,20 @@ def volume(mesh):
     ],
 )
 def test_solids_have_their_volume_and_look_outwards(kind, half, expected):
-    mesh = solid(kind, half, (1, 1, 1))
-    assert volume(mesh) == pytest.approx(expected, rel=0.03)
+    mesh = solid(kind, half)
+    assert mesh.volume == pytest.approx(expected, rel=0.03)
     np.testing.assert_allclose(mesh.vertices.max(axis=0), half, rtol=0.02)
 
 
 def test_every_link_of_the_hand_and_every_object_is_drawn():
-    links = {link for link, _ in hand_meshes(HPAC_GEOMETRY)}
+    links = {link for link, _, _ in hand_meshes(HPAC_GEOMETRY)}
     assert links == {"palm", *(phalanx.link for phalanx in HPAC_GEOMETRY.phalanges)}
-    assert all(volume(mesh) > 0 for _, mesh in hand_meshes(HPAC_GEOMETRY))
+    assert all(mesh.volume > 0 for _, mesh, _ in hand_meshes(HPAC_GEOMETRY))
     for name, model in load_object_models().items():
         spec = ObjectSpec(model.shape, model.half_extents, model.mass, 0.8, name)
-        meshes = list(object_meshes(spec))
+        meshes = [mesh for mesh, _ in object_meshes(spec)]
         assert len(meshes) == len(model.solids)
-        assert all(volume(mesh) > 0 for mesh in meshes)
+        assert all(mesh.volume > 0 for mesh in meshes)
         reach = np.max([np.abs(mesh.vertices).max(axis=0) for mesh in meshes], axis=0)
         np.testing.assert_allclose(reach, model.half_extents, rtol=0.05)
 
