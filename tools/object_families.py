@@ -62,9 +62,7 @@ def entry(name: str, family: str, rng: np.random.Generator) -> tuple[dict[str, A
         "color": [*(round(level, 2) for level in color), 1.0],
         "solids": parts,
     }
-    return fields | {"friction": round(rng.uniform(*friction), 2)}, object_model(
-        name, fields, FIELDS
-    )
+    return fields | {"friction": round(rng.uniform(*friction), 2)}, object_model(name, fields)
 
 
 def _metres(part: Part) -> Part:
@@ -135,8 +133,7 @@ def procedural_objects() -> str:
     test = {name: entries[name] for name in entries if name.startswith("test")}
     apart = [model for model, _ in split_models()["real"].values()]
     apart += [
-        object_model(name, {key: values[key] for key in FIELDS}, FIELDS)
-        for name, values in test.items()
+        object_model(name, {key: values[key] for key in FIELDS}) for name, values in test.items()
     ]
     plain = draw_plain(apart)
     counts = {"train": len(entries) - len(test), "test": len(test), "plain": len(plain)}

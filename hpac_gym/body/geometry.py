@@ -7,6 +7,7 @@ import tomllib
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from hpac_gym.model.checks import Array
 
 Vector = tuple[float, float, float]
 
-GEOMETRY_FILE = Path(__file__).parent / "data" / "geometry.toml"
+DATA = Path(__file__).parent / "data"
 FLEXION_AXIS: Vector = (0.0, 1.0, 0.0)
 
 
@@ -113,10 +114,15 @@ class Geometry:
         return next(digit for digit in self.digits if digit.name == name)
 
 
+def table_of(name: str) -> dict[str, Any]:
+    """Contents of a file of ``data``."""
+    return tomllib.loads((DATA / name).read_text(encoding="utf-8"))
+
+
 @cache
 def load_geometry() -> Geometry:
     """Geometry of the nominal hand, read from ``data/geometry.toml``."""
-    table = tomllib.loads(GEOMETRY_FILE.read_text(encoding="utf-8"))
+    table = table_of("geometry.toml")
     palm = table["palm"]
     boxes = tuple(Box(tuple(box["center"]), tuple(box["size"])) for box in palm["boxes"])
     capsules = tuple(
@@ -136,7 +142,6 @@ def load_geometry() -> Geometry:
 def _digit(name: str, table: dict, pad_tilt: float) -> Digit:
     joints = digit_joints(name)
     axis = FLEXION_AXIS
-    phalanges = []
     if name == "thumb":
         joints = ("thumb_cmc", *joints)
         rpy = tuple(table["rpy"])
@@ -146,20 +151,19 @@ def _digit(name: str, table: dict, pad_tilt: float) -> Digit:
         rpy = (-np.deg2rad(table["fan_deg"]), 0.0, 0.0)
     parent = "palm"
     origin = tuple(table["base"])
+    phalanges = []
     for joint, length, radius, mass in zip(
         joints, table["lengths"], table["radii"], table["masses"], strict=True
     ):
-        end = length - radius if joint == joints[-1] else length
-        capsule = Capsule((0.0, 0.0, 0.0), (0.0, 0.0, end), radius)
-        phalanx = Phalanx(joint, parent, origin, rpy, axis, length, mass, capsule)
-        phalanges.append(phalanx)
-        parent = phalanx.link
+        capsule = Capsule((0.0, 0.0, 0.0), (0.0, 0.0, length), radius)
+        phalanges.append(Phalanx(joint, parent, origin, rpy, axis, length, mass, capsule))
+        parent = phalanges[-1].link
         origin = (0.0, 0.0, length)
         rpy = (0.0, 0.0, 0.0)
         axis = FLEXION_AXIS
     normal = (float(np.cos(pad_tilt)), 0.0, float(np.sin(pad_tilt)))
-    pad = tuple(np.add(capsule.end, np.multiply(capsule.radius, normal)).tolist())
-    return Digit(name, tuple(phalanges), pad, normal)
+    digit = Digit(name, tuple(phalanges), capsule.end, normal)
+    return digit.scaled(np.ones(3), 1.0)  # which shortens the last capsule and places the pad
 
 
 def rotation_from_rpy(rpy: Vector) -> Array:

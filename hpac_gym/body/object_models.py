@@ -7,23 +7,19 @@ the fictitious objects that replace them in the held-out shape variants are in
 
 import itertools
 import math
-import tomllib
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
-from hpac_gym.body.geometry import rotation_about
+from hpac_gym.body.geometry import rotation_about, table_of
 from hpac_gym.body.solids import Solid, bounds_of, inertia_of_point
 from hpac_gym.errors import ParameterError
 from hpac_gym.model.checks import Array
 
-REAL_FILE = Path(__file__).parent / "data" / "objects.toml"
-HELD_OUT_FILE = Path(__file__).parent / "data" / "held_out_objects.toml"
 STAVES = 16
 """Default number of flat staves that make up a ring."""
 
@@ -34,6 +30,7 @@ _AXES = {
 }
 FIELDS = {"about", "size", "mass", "shape", "color", "solids"}
 SOURCE_FIELDS = {"source", "published", "chosen"}
+"""Fields of a real object that tell where its numbers are from; tests compare them with the model."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,12 +53,6 @@ class ObjectModel:
     """The nearest primitive: cylinder, box or sphere."""
     color: tuple[float, ...]
     solids: tuple[Solid, ...]
-    source: str = ""
-    """Source of `published`; empty for a fictitious object."""
-    published: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    """Lowest and highest size along x, y and z [m] and mass [kg], where the source gives them."""
-    chosen: str = ""
-    """Origin of the numbers that are not published; empty if all are."""
 
     def __repr__(self) -> str:
         """One line, without the solids."""
@@ -128,54 +119,35 @@ def load_object_models() -> Mapping[str, ObjectModel]:
     Raises:
         ParameterError: A field is missing or unknown, or an object does not add up.
     """
-    real = object_models_from_toml(REAL_FILE.read_text(encoding="utf-8"), FIELDS | SOURCE_FIELDS)
-    return MappingProxyType(
-        real | object_models_from_toml(HELD_OUT_FILE.read_text(encoding="utf-8"), FIELDS)
-    )
+    entries = table_of("objects.toml") | table_of("held_out_objects.toml")
+    return MappingProxyType({name: object_model(name, entry) for name, entry in entries.items()})
 
 
-def object_models_from_toml(text: str, fields: set[str]) -> dict[str, ObjectModel]:
-    """Objects described by a TOML text; each entry must have exactly these fields.
-
-    Raises:
-        ParameterError: A field is missing or unknown, or an object does not add up.
-    """
-    return {name: object_model(name, entry, fields) for name, entry in tomllib.loads(text).items()}
-
-
-def object_model(name: str, entry: Mapping[str, Any], fields: set[str]) -> ObjectModel:
-    """Object described by an entry of an object file, which must have exactly these fields.
+def object_model(name: str, entry: Mapping[str, Any]) -> ObjectModel:
+    """Object described by an entry of an object file, which must have exactly `FIELDS`, besides
+    `SOURCE_FIELDS`.
 
     Raises:
         ParameterError: A field is missing or unknown, or the object does not add up.
     """
-    if set(entry) != fields:
+    wrong = (set(entry) - SOURCE_FIELDS) ^ FIELDS
+    if wrong:
         raise ParameterError(
-            f"object {name}: fields {', '.join(sorted(set(entry) ^ fields))} are missing or unknown"
+            f"object {name}: fields {', '.join(sorted(wrong))} are missing or unknown"
         )
     try:
         solids = tuple(part for solid in entry["solids"] for part in solids_from(solid))
     except (KeyError, TypeError, ValueError) as error:
         raise ParameterError(f"object {name}: bad solid: {error}") from None
-    published = {key: _interval(value) for key, value in entry.get("published", {}).items()}
-    if not published.keys() <= {"x", "y", "z", "mass"}:
-        raise ParameterError(
-            f"object {name}: published has {', '.join(published)}, not x, y, z and mass alone"
-        )
-    plain = {key: entry[key] for key in fields - {"size", "color", "solids", "published"}}
     return ObjectModel(
         name,
-        size=tuple(entry["size"]),
-        color=tuple(entry["color"]),
-        solids=solids,
-        published=published,
-        **plain,
+        entry["about"],
+        tuple(entry["size"]),
+        entry["mass"],
+        entry["shape"],
+        tuple(entry["color"]),
+        solids,
     )
-
-
-def _interval(value: float | list[float]) -> tuple[float, float]:
-    low, high = value if isinstance(value, list) else (value, value)
-    return float(low), float(high)
 
 
 def solids_from(solid: Mapping[str, Any]) -> Iterator[Solid]:

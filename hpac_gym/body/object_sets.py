@@ -4,22 +4,15 @@ beside them or not, 50 held-out ones, and real ones.
 Every object has its stable poses. The procedural objects are drawn by ``tools/object_families.py``;
 the poses were found by simulation (``tools/resting_poses.py``) and are stored as data."""
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from hpac_gym.body.object_models import (
-    FIELDS,
-    SOURCE_FIELDS,
-    ObjectModel,
-    load_object_models,
-    object_model,
-)
+from hpac_gym.body.geometry import table_of
+from hpac_gym.body.object_models import ObjectModel, load_object_models, object_model
 from hpac_gym.errors import ParameterError
 
 SPLITS = ("train", "wide", "test", "real")
@@ -30,8 +23,6 @@ SPAN = 0.082
 """Largest object width that the hand is asked to span [m]: that of the puck's large variant in the
 named grasps.
 """
-
-_DATA = Path(__file__).parent / "data"
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,31 +87,24 @@ def difference(one: ObjectModel, other: ObjectModel) -> float:
 
 def split_models() -> dict[str, dict[str, tuple[ObjectModel, float]]]:
     """Objects and their friction by split and name, without poses."""
-    drawn = _table("procedural_objects.toml")
-    real = _table("real_objects.toml")
+    real = table_of("real_objects.toml")
     friction = real.pop("friction_of_named_objects")
     named = {
         name: (model, friction[name])
         for name, model in load_object_models().items()
         if name in friction
     }
-    made = {name: _entry(name, entry, FIELDS) for name, entry in drawn.items()}
-
-    def named_as(*kinds: str) -> dict[str, tuple[ObjectModel, float]]:
-        return {name: entry for name, entry in made.items() if name.startswith(kinds)}
-
+    drawn = _entries(table_of("procedural_objects.toml"))
+    kinds = {"train": "train", "wide": ("train", "plain"), "test": "test"}
     return {
-        "train": named_as("train"),
-        "wide": named_as("train", "plain"),
-        "test": named_as("test"),
-        "real": named
-        | {name: _entry(name, entry, FIELDS | SOURCE_FIELDS) for name, entry in real.items()},
-    }
+        split: {name: entry for name, entry in drawn.items() if name.startswith(kind)}
+        for split, kind in kinds.items()
+    } | {"real": named | _entries(real)}
 
 
 @cache
 def _object_sets() -> dict[str, tuple[RestingObject, ...]]:
-    poses = _table("resting_poses.toml")
+    poses = table_of("resting_poses.toml")
     return {
         split: tuple(
             resting(model, friction, poses[name]) for name, (model, friction) in models.items()
@@ -151,10 +135,7 @@ def resting_pose(
     return RestingPose(tuple(turn.tolist()), float(-low[2]), tuple((high - low).tolist()), share)
 
 
-def _entry(name: str, entry: dict[str, Any], fields: set[str]) -> tuple[ObjectModel, float]:
-    friction = entry.pop("friction")
-    return object_model(name, entry, fields), friction
-
-
-def _table(name: str) -> dict[str, Any]:
-    return tomllib.loads((_DATA / name).read_text(encoding="utf-8"))
+def _entries(table: dict[str, dict[str, Any]]) -> dict[str, tuple[ObjectModel, float]]:
+    """Objects of a file and their friction."""
+    friction = {name: entry.pop("friction") for name, entry in table.items()}
+    return {name: (object_model(name, entry), friction[name]) for name, entry in table.items()}
