@@ -159,8 +159,6 @@ class Connection:
                 f"the device answers HELLO with an ACK ({reason}): it does not run this hand's firmware"
             )
         self.info = HandInfo.from_frame(answer)
-        self.exchange.statistics.connections += 1
-        self.exchange.statistics.acked += 1
         self._learn_fault()
         return self.info
 
@@ -180,7 +178,6 @@ class Connection:
             raise
         if answer.name == "ack" and answer.number("reason") != Reason.ok:
             raise self._refusal(Frame(name, fields=fields or {}), answer)
-        self.exchange.statistics.acked += 1
         return answer
 
     def raise_unasked(self, what: str) -> None:
@@ -243,8 +240,6 @@ class Connection:
                 self.exchange.transport.close()
             if not self.ended:
                 self.ended = True
-                self.exchange.statistics.bad_frames += self.exchange.splitter.rejected_frames
-                self.exchange.statistics.bad_bytes += self.exchange.splitter.rejected_bytes
                 self.known.forget()
                 interrupts.link_closed(self)
         already_ending = isinstance(error, KeyboardInterrupt | SystemExit)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from serial.tools import list_ports
 
-from hpac_gym.bridge.errors import BridgeError, HandshakeError, LinkTimeout, PortError
+from hpac_gym.bridge.errors import HandshakeError, LinkTimeout, PortError
 from hpac_gym.bridge.exchange import Exchange, LinkStatistics
 from hpac_gym.bridge.frame import Frame, FrameSplitter
 from hpac_gym.bridge.protocol import LOAD, VERSION, Reason, name_of
@@ -69,18 +69,15 @@ def diagnose(name: str, port: str | Callable[[], Transport], hand: Hand = HPAC) 
     statistics = LinkStatistics()
     exchange = Exchange(transport, statistics)
     try:
-        answer = _look(exchange)
+        attempts = round(_PATIENCE / _ATTEMPT)
+        answer = exchange.request("hello", {"nonce": 0}, timeout=_ATTEMPT, attempts=attempts)
         if answer.name == "ack":
             return _refused(name, "HELLO", answer)
         info = HandInfo.from_frame(answer)
         if info.state == "armed":
             what = f"hand with firmware {info.firmware_version}, armed by session {info.session:08x}: left alone"
-            return Finding(
-                name,
-                True,
-                what,
-                "stop the program that controls it before you start another, or run hpac estop",
-            )
+            advice = "stop the program that controls it before you start another, or run hpac estop"
+            return Finding(name, True, what, advice)
         answer = exchange.request("status")
         if answer.name == "ack":
             return _refused(name, "STATUS", answer)
@@ -88,23 +85,12 @@ def diagnose(name: str, port: str | Callable[[], Transport], hand: Hand = HPAC) 
     except LinkTimeout:
         if exchange.host_frames:
             what = f"an echo: what is sent comes back ({exchange.splitter.received_bytes} bytes)"
-            return Finding(
-                name,
-                False,
-                what,
-                "take off a jumper between TX and RX, or switch the device's echo off",
-            )
+            advice = "take off a jumper between TX and RX, or switch the device's echo off"
+            return Finding(name, False, what, advice)
         return _unanswered(name, exchange.splitter)
     except PortError as error:
         return Finding(
             name, False, _without_name(error, name), "plug it in again, and look for a loose cable"
-        )
-    except BridgeError as error:
-        return Finding(
-            name,
-            False,
-            str(error),
-            "frames get lost: try a shorter cable, and another USB port without a hub",
         )
     finally:
         transport.close()
@@ -122,19 +108,6 @@ def _refused(name: str, message: str, ack: Frame) -> Finding:
 
 def _without_name(error: PortError, name: str) -> str:
     return str(error).removeprefix(f"{name} ").removeprefix(f"{name}: ")
-
-
-def _look(exchange: Exchange) -> Frame:
-    """Get the answer to HELLO 0, waiting long enough for a board that resets when its port
-    opens.
-    """
-    deadline = exchange.transport.now() + _PATIENCE
-    while True:
-        try:
-            return exchange.request("hello", {"nonce": 0}, timeout=_ATTEMPT, attempts=1)
-        except LinkTimeout:
-            if exchange.host_frames or exchange.transport.now() >= deadline:
-                raise
 
 
 def _unanswered(name: str, splitter: FrameSplitter) -> Finding:

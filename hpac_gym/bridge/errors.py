@@ -69,7 +69,7 @@ class UnconfirmedWarning(UserWarning):
 
 
 class LogWarning(UserWarning):
-    """A wire log cannot be written. The link continues without it and counts the missing lines."""
+    """A wire log cannot be written. The link continues without it."""
 
 
 class FirmwareMissing(BridgeError, FileNotFoundError):

@@ -36,24 +36,12 @@ class LinkStatistics:
 
     sent: int = 0
     """Frames written, including repeats."""
-    acked: int = 0
-    """Frames answered as executed."""
     retried: int = 0
     """Repeated frames, after a time-out."""
     rejected: int = 0
     """Frames that the hand refused."""
-    timeouts: int = 0
-    """Frames given up after the last repeat."""
     received: int = 0
     """Intact frames from the hand."""
-    bad_frames: int = 0
-    """Received pieces that are not valid frames, including boot text."""
-    bad_bytes: int = 0
-    """Total length of the bad frames [bytes]."""
-    unlogged: int = 0
-    """Frames missing from the log."""
-    connections: int = 0
-    """Successful handshakes."""
     round_trips: deque[float] = field(
         default_factory=lambda: deque(maxlen=_ROUND_TRIPS_KEPT), repr=False
     )
@@ -144,11 +132,11 @@ class Exchange:
         statistics: the counters that it updates.
         session: nonce of this controller's HELLO, which its other messages carry.
         sent: number of frames written, by message name.
-        refused: the latest refused message that was sent without waiting for an answer, and its
-            refusal; or None.
+        refused: a message that was sent without waiting for an answer and that was refused, and its
+            refusal, for the next call to raise; or None.
         host_frames: number of received frames of host message types, which indicate an echo.
         on_ack: weak reference to a method, called with every message that was sent without waiting,
-            and its ACK; None keeps the latest refusal in `refused` instead.
+            and its ACK; or None.
     """
 
     def __init__(
@@ -204,16 +192,15 @@ class Exchange:
                     return waiting.answer
         finally:
             del self._open[frame.seq]
-        self.statistics.timeouts += 1
         raise LinkTimeout(f"no answer to {name}: {attempts} times, {timeout:g} s each")
 
-    def send(self, name: str, fields: Fields | None = None, flags: int = 0) -> int:
+    def send(self, name: str, fields: Fields | None = None) -> int:
         """Send a message without waiting for an answer; returns its number.
 
         Raises:
             PortError: The port is gone.
         """
-        frame = self._frame(name, fields, flags)
+        frame = self._frame(name, fields)
         self._unacknowledged.append(frame)
         self._write(frame)
         return frame.seq
@@ -227,7 +214,7 @@ class Exchange:
         """
         self._receive_until(self.transport.now() + seconds, None)
 
-    def _frame(self, name: str, fields: Fields | None, flags: int) -> Frame:
+    def _frame(self, name: str, fields: Fields | None, flags: int = 0) -> Frame:
         self._seq = self._seq % _SEQ_MAX + 1  # 0 is reserved for unsolicited messages of the hand
         usual = {"session": self.session, "nonce": self.session, "period_ms": 0}
         ours = {part.name: usual[part.name] for part in MESSAGES[name].fields if part.name in usual}
@@ -280,8 +267,6 @@ class Exchange:
             on_ack = self.on_ack and self.on_ack()
             if sent is not None and on_ack:
                 on_ack(sent, frame)
-            elif sent is not None and frame.number("reason") != Reason.ok:
-                self.refused = sent, frame
         self.known.take_in(frame, answered)
         self._record("received", encoded, frame, round_trip)
 
@@ -293,13 +278,12 @@ class Exchange:
         try:
             self._log.record(self.transport.now(), direction, encoded, frame, round_trip)
         except Exception as error:  # a failing log must not affect the link
-            self.statistics.unlogged += 1
-            if self.statistics.unlogged == 1:
-                tell(
-                    LogWarning(
-                        f"the wire log cannot be written, the link continues without it: {error}"
-                    )
+            self._log = None
+            tell(
+                LogWarning(
+                    f"the wire log cannot be written, the link continues without it: {error}"
                 )
+            )
 
 
 def _is_answer(frame: Frame, name: str) -> bool:

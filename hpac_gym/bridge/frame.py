@@ -40,8 +40,8 @@ class Frame:
     fields: Fields = field(default_factory=dict)
 
     def numbers(self, name: str) -> tuple[int, ...]:
-        """The integers of a field; none for a field that there is not."""
-        value = self.fields.get(name, ())
+        """The integers of a field."""
+        value = self.fields[name]
         return tuple(value) if isinstance(value, tuple | list) else (value,)
 
     def number(self, name: str) -> int:
@@ -64,22 +64,13 @@ def encode(frame: Frame, version: int = VERSION) -> bytes:
     message = MESSAGES.get(frame.name)
     if message is None:
         raise FrameError(f"no message is called {frame.name!r}")
-    values: list[int] = []
-    for part in message.fields:
-        numbers = frame.numbers(part.name)
-        if len(numbers) != part.count:
-            raise FrameError(
-                f"{frame.name}.{part.name} takes {part.count} integer(s), got {frame.fields.get(part.name)}"
-            )
-        values.extend(numbers)
-    if len(frame.fields) > len(message.fields):
-        raise FrameError(
-            f"{frame.name} has no field {sorted(set(frame.fields) - {f.name for f in message.fields})}"
-        )
+    names = [part.name for part in message.fields]
+    if frame.fields.keys() != set(names):
+        raise FrameError(f"{frame.name} has fields {names}, got {list(frame.fields)}")
+    values = [number for name in names for number in frame.numbers(name)]
     try:
-        body = _HEADER.pack(version, message.code, frame.seq, frame.flags) + _payload(message).pack(
-            *values
-        )
+        header = _HEADER.pack(version, message.code, frame.seq, frame.flags)
+        body = header + _payload(message).pack(*values)
     except struct.error as error:
         raise FrameError(
             f"{frame.name} {dict(frame.fields)}, sequence {frame.seq}: {error}"
@@ -147,56 +138,33 @@ def cobs_decode(encoded: bytes) -> bytes:
 
 
 class FrameSplitter:
-    """Splits a byte stream at its zeros; pieces that are not valid frames are counted and dropped.
+    """Splits a byte stream at its zeros; pieces that are not valid frames are dropped.
 
     Attributes:
         received_bytes: number of bytes received.
         tail: the last 4,096 of them.
-        rejected_bytes: number of bytes in invalid pieces, for example boot text.
-        rejected_frames: number of invalid pieces.
         other_version: protocol version of the last intact frame of another version, or None.
     """
 
     def __init__(self) -> None:
         self.received_bytes = 0
         self.tail = b""
-        self.rejected_bytes = 0
-        self.rejected_frames = 0
         self.other_version: int | None = None
-        self._pending = bytearray()
-        self._discarded = 0
+        self._pending = b""
 
     def push(self, data: bytes) -> list[tuple[bytes, Frame]]:
         """Process received bytes; returns each complete frame, preceded by its encoded bytes."""
         frames = []
         self.received_bytes += len(data)
         self.tail = (self.tail + data)[-_TAIL_MAX:]
-        *ended, rest = data.split(b"\0")
-        for piece in ended:
-            self._append(piece)
-            encoded = bytes(self._pending)
-            self._pending.clear()
-            if self._discarded:
-                self._reject(self._discarded)
-                self._discarded = 0
-            elif encoded:
-                try:
-                    frames.append((encoded, decode(encoded)))
-                except VersionError as error:
-                    self.other_version = error.version
-                    self._reject(len(encoded))
-                except FrameError:
-                    self._reject(len(encoded))
-        self._append(rest)
+        *pieces, rest = (self._pending + data).split(b"\0")
+        # One byte more than a frame has: a flood without zeros is no frame, and fills no memory.
+        self._pending = rest[: _COBS_MAX + 1]
+        for encoded in filter(None, pieces):
+            try:
+                frames.append((encoded, decode(encoded)))
+            except VersionError as error:
+                self.other_version = error.version
+            except FrameError:
+                continue
         return frames
-
-    def _append(self, piece: bytes) -> None:
-        """Keep at most the length of a frame: a flood without zeros must not fill the memory."""
-        self._pending += piece
-        if self._discarded or len(self._pending) > _COBS_MAX:
-            self._discarded += len(self._pending)
-            self._pending.clear()
-
-    def _reject(self, length: int) -> None:
-        self.rejected_bytes += length
-        self.rejected_frames += 1

@@ -12,7 +12,6 @@ from hpac_gym.bridge.protocol import (
     ANGLE_UNIT,
     CONSTANTS,
     FLAG_MINIMUM_JERK,
-    FLAG_NO_ACK,
     Action,
 )
 from hpac_gym.bridge.reports import HandStatus
@@ -107,7 +106,6 @@ class HandLink(Line):
         command: ServoCommand,
         *,
         minimum_jerk: bool = False,
-        acknowledge: bool = True,
         pace: bool = True,
     ) -> None:
         """Send one synchronised move, and wait for the hand's ACK.
@@ -118,8 +116,6 @@ class HandLink(Line):
         Args:
             minimum_jerk: a smooth move from the present pose and velocity, instead of a linear one
                 from the pose.
-            acknowledge: False requests no ACK and does not wait; a refusal or a fault is raised by
-                the first call after its arrival.
             pace: first wait until the previous move has ended. False pre-empts it.
 
         Raises:
@@ -136,16 +132,10 @@ class HandLink(Line):
                 f"a servo angle of {worst:g} rad, allowed ±{_STEP_MAX * ANGLE_UNIT:g} rad"
             )
         fields: Fields = {"duration_ms": duration_ms, "servo": tuple(steps.tolist())}
-        flags = FLAG_MINIMUM_JERK if minimum_jerk else 0
         connection = self._connected()
         if pace:
             self.sleep(connection.busy_until - self._now())
-        if acknowledge:
-            self._feed("move", fields, flags)
-        else:
-            connection.exchange.send("move", fields, flags | FLAG_NO_ACK)
-            connection.exchange.listen(0)
-            connection.raise_unasked("move")
+        self._feed("move", fields, FLAG_MINIMUM_JERK if minimum_jerk else 0)
         connection.busy_until = self._now() + duration_ms * 1e-3
 
     def stream(self, period: float = 0.05, early: float = EARLY) -> Stream:

@@ -75,7 +75,6 @@ def test_any_cut_of_a_stream_gives_the_same_frames(sent, data):
     for start, end in zip([0, *cuts], [*cuts, len(stream)], strict=True):
         received += [frame for _, frame in splitter.push(stream[start:end])]
     assert received == sent
-    assert splitter.rejected_frames == 0
 
 
 @pytest.mark.parametrize("row", ROWS, ids=[row["name"] for row in ROWS])
@@ -109,16 +108,14 @@ def test_splitter_loses_nothing_but_the_malformed_piece(encoded, by):
     pieces = [stream] if by == "whole" else [bytes([byte]) for byte in stream]
     received = [frame for piece in pieces for _, frame in splitter.push(piece)]
     assert received == [MOVE, MOVE]
-    assert splitter.rejected_frames == (1 if encoded else 0)
-    assert splitter.rejected_bytes == len(encoded)
 
 
 def test_splitter_forgets_a_flood_without_zeros():
     splitter = FrameSplitter()
     for _ in range(1000):
         assert splitter.push(b"x" * 1000) == []
+    assert len(splitter._pending) < 100
     assert [frame for _, frame in splitter.push(encode(MOVE))] == [MOVE]
-    assert splitter.rejected_bytes == 1_000_000
 
 
 def test_splitter_remembers_the_version_that_it_could_not_read():

@@ -27,7 +27,7 @@ from hpac_gym.bridge.doctor import _judge, _unanswered, diagnose
 from hpac_gym.bridge.exchange import Exchange, LinkStatistics
 from hpac_gym.bridge.frame import Frame, FrameSplitter, decode, encode
 from hpac_gym.bridge.hands import VirtualTransport
-from hpac_gym.bridge.protocol import FLAG_MINIMUM_JERK, FLAG_NO_ACK, MESSAGES
+from hpac_gym.bridge.protocol import FLAG_MINIMUM_JERK, MESSAGES
 from hpac_gym.model import HPAC, ServoCommand
 
 
@@ -86,7 +86,7 @@ def test_a_frame_is_sent_three_times_a_tenth_of_a_second_apart(talking, overhear
     np.testing.assert_allclose(gaps(said), 0.1, atol=0.002)
     assert len({frame.seq for _, frame in said}) == 1
     assert len(overheard.of("status")) == before + 3
-    assert (talking.statistics.retried, talking.statistics.timeouts) == (4, 2)
+    assert talking.statistics.retried == 4
     before = len(overheard.frames)
     transport = talking._connection.exchange.transport
     begun = transport.now()
@@ -215,12 +215,10 @@ def test_what_is_not_said_has_the_documented_values(talking, overheard):
     ((_, arm),) = overheard.of("arm")
     assert (arm.fields["watchdog_ms"], arm.fields["action"], arm.flags) == (400, Action.relax, 0)
     talking.move(ServoCommand(np.full(6, 0.01), 0.05))
-    talking.move(
-        ServoCommand(np.full(6, 0.02), 0.050001), minimum_jerk=True, acknowledge=False, pace=False
-    )
+    talking.move(ServoCommand(np.full(6, 0.02), 0.050001), minimum_jerk=True, pace=False)
     first, second = (frame for _, frame in overheard.of("move"))
     assert (first.fields["duration_ms"], first.flags) == (50, 0)
-    assert (second.fields["duration_ms"], second.flags) == (51, FLAG_MINIMUM_JERK | FLAG_NO_ACK)
+    assert (second.fields["duration_ms"], second.flags) == (51, FLAG_MINIMUM_JERK)
     assert first.fields["servo"] == (100,) * 6
     talking.status()
     talking.status(period=0.05)
@@ -267,40 +265,11 @@ def test_the_counters_of_a_session_are_exact(virtual_hand):
     with pytest.raises(RejectedError, match=r"refused move: state \(state idle\)"):
         link.move(ServoCommand(np.zeros(6), 1.0))
     counted = link.statistics
-    assert (
-        counted.connections,
-        counted.sent,
-        counted.acked,
-        counted.rejected,
-        counted.received,
-    ) == (1, 5, 4, 1, 5)
-    assert (
-        counted.retried,
-        counted.timeouts,
-        counted.bad_frames,
-        counted.bad_bytes,
-        counted.unlogged,
-    ) == (0, 0, 0, 0, 0)
+    assert (counted.sent, counted.received, counted.retried, counted.rejected) == (5, 5, 0, 1)
     assert len(counted.round_trips) == 5
     link.connect()
-    assert counted.connections == 2
     link.close()
-
-
-def test_what_is_no_frame_is_counted_when_the_connection_ends(virtual_hand):
-    class Noisy(VirtualTransport):
-        noise = b"boot\0text\0"
-
-        def read(self, timeout):
-            noise = self.noise
-            self.noise = b""
-            return noise + super().read(timeout)
-
-    link = HandLink(lambda: Noisy(virtual_hand))
-    for times in (1, 2):
-        link.connect()
-        link.close()
-        assert (link.statistics.bad_frames, link.statistics.bad_bytes) == (2 * times, 8 * times)
+    assert (counted.sent, counted.received) == (6, 6)
 
 
 def test_sequence_numbers_go_round_without_zero(virtual_hand):
