@@ -30,7 +30,11 @@ def add_mesh(
 
 
 class Links:
-    """The links of the hand, or of a ghost that a prediction lays over it."""
+    """The links of the hand, or of a ghost that a prediction lays over it.
+
+    Attributes:
+        palm: frame of the palm and of all links, which hides them if it is not visible.
+    """
 
     def __init__(self, server: viser.ViserServer, setup: SceneSetup, ghost: str) -> None:
         geometry = setup.geometry
@@ -41,7 +45,7 @@ class Links:
         self._axes = np.array([phalanx.axis for phalanx in geometry.phalanges])
         x, y, z, w = setup.hand_quaternion
         root = f"/scene/{ghost or 'hand'}"
-        self._palm = server.scene.add_frame(
+        self.palm = server.scene.add_frame(
             root, show_axes=False, wxyz=(w, x, y, z), visible=not ghost
         )
         paths = {"palm": root}
@@ -58,7 +62,6 @@ class Links:
         for index, (link, mesh, color) in enumerate(hand_meshes(geometry)):
             if not (ghost and link == "palm"):
                 add_mesh(server, f"{paths[link]}/mesh_{index}", mesh, color, **look)
-        self._told = np.full(len(DIGITS), -1)
 
     def _add_tendon(self, server: viser.ViserServer, path: str, phalanx: Phalanx) -> None:
         """A tendon is drawn along the palmar side of a link."""
@@ -69,14 +72,9 @@ class Links:
         )
         self._tendons[phalanx.joint.split("_")[0]].append(line)
 
-    def show(self, visible: bool) -> None:
-        """Show or hide the links."""
-        if self._palm.visible != visible:
-            self._palm.visible = visible
-
     def pose(self, joint_pos: Array, wrist: Array) -> None:
         """Move the links."""
-        self._palm.position = tuple(HAND_POSITION + wrist)
+        self.palm.position = tuple(HAND_POSITION + wrist)
         flexed = Rotation.from_rotvec(self._axes * joint_pos[self._joints][:, None])
         for frame, turn in zip(
             self._frames, (self._turn * flexed).as_quat(scalar_first=True), strict=True
@@ -85,11 +83,8 @@ class Links:
 
     def pull(self, tension: Array) -> None:
         """Colour the tendons by their tension, in sixteen steps."""
-        steps = np.rint(16 * np.clip(tension / STRONG, 0.0, 1.0)).astype(int)
-        for digit, lines in enumerate(self._tendons.values()):
-            if steps[digit] == self._told[digit]:
-                continue
-            color = SLACK_COLOR + steps[digit] / 16 * (PULLED_COLOR - SLACK_COLOR)
+        share = np.rint(16 * np.clip(tension / STRONG, 0.0, 1.0)) / 16
+        colors = np.rint(SLACK_COLOR + share[:, None] * (PULLED_COLOR - SLACK_COLOR))
+        for lines, color in zip(self._tendons.values(), colors.astype(np.uint8), strict=True):
             for line in lines:
-                line.colors = np.rint(color).astype(np.uint8)
-        self._told = steps
+                line.colors = color

@@ -176,10 +176,7 @@ class HandPage:
 
     def free(self, free: bool) -> None:
         """Let the sliders drive the hand, or only follow it."""
-        label = FREE if free else DRIVEN
-        if self._servos.label == label:
-            return
-        self._servos.label = label
+        self._servos.label = FREE if free else DRIVEN
         self._all.visible = self._open.visible = free
         for slider in self.sliders:
             slider.disabled = not free
@@ -201,11 +198,10 @@ class HandPage:
         with self._server.atomic():
             hand = self._hands[""]
             hand.pose(shown.joint_pos, shown.wrist)
-            if self._boxes["goal"].visible != (shown.goal is not None):
-                self._boxes["goal"].visible = shown.goal is not None
+            self._boxes["goal"].visible = shown.goal is not None
             for name, box in self._boxes.items():
                 posture = shown.ghost(name) if box.value else None
-                self._hands[name].show(posture is not None)
+                self._hands[name].palm.visible = posture is not None
                 if posture is not None:
                     self._hands[name].pose(posture, shown.wrist)
             if shown.tension is not None:
