@@ -6,22 +6,21 @@ The numbers are in ``data/grasps.toml``; the names are those of the grasp shapes
 
 import difflib
 import tomllib
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.resources import files
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from hpac_gym.body.object_models import ObjectModel, load_object_models
 from hpac_gym.body.objects import Support
-from hpac_gym.errors import HpacError, ParameterError
-from hpac_gym.model import HPAC, SERVOS
-from hpac_gym.model.checks import Array, as_bounded_array
+from hpac_gym.errors import HpacError
+from hpac_gym.model.checks import Array
 
-FAMILIES = ("power", "precision", "lateral", "tool")
+DATA = files("hpac_gym.tasks") / "data"
 NOMINAL = "nominal"
 
 Vector = tuple[float, float, float]
@@ -43,13 +42,6 @@ class Variant:
     object: ObjectModel | None = None
     """Object that replaces the grasp's own, in its pose and on its support; None keeps the own one.
     """
-
-    def __post_init__(self) -> None:
-        factors = (self.scale, self.mass, self.friction)
-        if not min(factors) > 0:
-            raise ParameterError(
-                f"scale, mass and friction of a variant are {factors}, must be greater than 0"
-            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,48 +99,27 @@ def named_grasp(name: str) -> NamedGrasp:
     raise GraspError(f"no grasp {name!r}; there are {len(GRASPS)}, among them {', '.join(near)}")
 
 
-def grasps_from_toml(
-    text: str | dict[str, Any],
-    models: Mapping[str, ObjectModel],
-    closed: Mapping[str, Array] = MappingProxyType({}),
-) -> dict[str, NamedGrasp]:
-    """Grasps described by a TOML text or its parsed tables.
-
-    Args:
-        text: the text, or its tables.
-        models: the objects by name.
-        closed: closed hand shapes of grasps that have none in the text, shape (6,) each [rad].
-
-    Raises:
-        ParameterError: Not TOML, an unknown object or family, or a field that is missing, unknown
-            or out of bounds.
+def grasps_of(tables: dict[str, Any]) -> dict[str, NamedGrasp]:
+    """Grasps described by the tables of a file of ``data``, which are used up: `held_out` has the
+    variants of all of them, each other one is a grasp.
     """
-    try:
-        table = tomllib.loads(text) if isinstance(text, str) else dict(text)
-        common = _variants(table.pop("held_out", {}), models)
-    except (tomllib.TOMLDecodeError, TypeError) as error:
-        raise ParameterError(f"grasps: {error}") from None
+    models = load_object_models()
+    common = _variants(tables.pop("held_out"), models)
     found = {}
-    for name, entry in table.items():
-        with refusing(f"grasp {name}"):
-            entry = {"closed": closed[name].tolist()} | entry if name in closed else dict(entry)
-            found[name] = _grasp(name, entry, models, common)
+    for name, table in tables.items():
+        own = _variants(table.pop("held_out", {}), models)
+        found[name] = NamedGrasp(
+            name=name,
+            object=models[table.pop("object")],
+            hand_rpy=tuple(np.deg2rad(table.pop("hand_rpy_deg")).tolist()),
+            object_rpy=tuple(np.deg2rad(table.pop("object_rpy_deg")).tolist()),
+            preshape=_read_only(table.pop("preshape")),
+            closed=_read_only(table.pop("closed")),
+            support=Support(**with_tuples(table.pop("support"))),
+            held_out=MappingProxyType(common | own),
+            **with_tuples(table),
+        )
     return found
-
-
-@contextmanager
-def refusing(name: str) -> Iterator[None]:
-    """Refuse a table of that name if a field is missing, unknown or out of bounds.
-
-    Raises:
-        ParameterError: It is.
-    """
-    try:
-        yield
-    except KeyError as error:
-        raise ParameterError(f"{name}: {error.args[0]} is missing") from None
-    except (TypeError, ValueError) as error:
-        raise ParameterError(f"{name}: {error}") from None
 
 
 def with_tuples(table: Mapping[str, Any]) -> dict[str, Any]:
@@ -156,71 +127,23 @@ def with_tuples(table: Mapping[str, Any]) -> dict[str, Any]:
     return {key: tuple(value) if isinstance(value, list) else value for key, value in table.items()}
 
 
-def _grasp(
-    name: str, entry: dict[str, Any], models: Mapping[str, ObjectModel], common: dict[str, Variant]
-) -> NamedGrasp:
-    model = _model(entry.pop("object"), models)
-    family = entry.pop("family")
-    if family not in FAMILIES:
-        raise ParameterError(f"family {family!r} is not one of {', '.join(FAMILIES)}")
-    held_out = common | _variants(entry.pop("held_out", {}), models)
-    grasp = NamedGrasp(
-        name=name,
-        family=family,
-        about=entry.pop("about"),
-        object=model,
-        friction=float(entry.pop("friction")),
-        hand_rpy=tuple(np.deg2rad(_vector(entry, "hand_rpy_deg")).tolist()),
-        object_rpy=tuple(np.deg2rad(_vector(entry, "object_rpy_deg")).tolist()),
-        position=_vector(entry, "position"),
-        preshape=_synergy(entry, "preshape"),
-        closed=_synergy(entry, "closed"),
-        support=Support(**with_tuples(entry.pop("support"))),
-        position_noise=_vector(entry, "position_noise"),
-        yaw_noise=float(entry.pop("yaw_noise")),
-        held_out=MappingProxyType(held_out),
-    )
-    if entry:
-        raise ParameterError(f"unknown fields {', '.join(entry)}")
-    return grasp
-
-
 def _variants(
-    table: Mapping[str, dict[str, Any]], models: Mapping[str, ObjectModel]
+    tables: Mapping[str, dict[str, Any]], models: Mapping[str, ObjectModel]
 ) -> dict[str, Variant]:
     found = {}
-    for name, entry in table.items():
-        known = {"object": _model(entry["object"], models)} if "object" in entry else {}
-        found[name] = Variant(**entry | known)
+    for name, table in tables.items():
+        known = {"object": models[table["object"]]} if "object" in table else {}
+        found[name] = Variant(**table | known)
     return found
 
 
-def _model(name: str, models: Mapping[str, ObjectModel]) -> ObjectModel:
-    if name not in models:
-        raise ParameterError(f"object {name!r} is not one of {', '.join(models)}")
-    return models[name]
-
-
-def _vector(entry: dict[str, Any], key: str) -> Vector:
-    values = entry.pop(key)
-    if not (isinstance(values, list) and len(values) == 3):
-        raise ParameterError(f"{key} must be three numbers, not {values!r}")
-    x, y, z = map(float, values)
-    return x, y, z
-
-
-def _synergy(entry: dict[str, Any], key: str) -> Array:
-    synergy = as_bounded_array(
-        entry.pop(key), HPAC.synergy_min, HPAC.synergy_max, SERVOS, key, "rad"
-    )
-    synergy.setflags(write=False)
-    return synergy
+def _read_only(synergy: ArrayLike) -> Array:
+    array = np.array(synergy, dtype=float)
+    array.setflags(write=False)
+    return array
 
 
 GRASPS: Mapping[str, NamedGrasp] = MappingProxyType(
-    grasps_from_toml(
-        (files("hpac_gym.tasks") / "data" / "grasps.toml").read_text(encoding="utf-8"),
-        load_object_models(),
-    )
+    grasps_of(tomllib.loads((DATA / "grasps.toml").read_text(encoding="utf-8")))
 )
 """All sixteen grasps by name, in the order of the paper's panels."""

@@ -6,11 +6,8 @@ The numbers are in ``data/grasp_types.toml``."""
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib.resources import files
 from types import MappingProxyType
 
-from hpac_gym.body.object_models import load_object_models
-from hpac_gym.errors import ParameterError
 from hpac_gym.model import (
     POSTURES,
     clip_synergy,
@@ -18,13 +15,7 @@ from hpac_gym.model import (
     synergy_from_joints,
 )
 from hpac_gym.physics.engine import PARTS
-from hpac_gym.tasks.grasp_data import (
-    GraspError,
-    NamedGrasp,
-    grasps_from_toml,
-    refusing,
-    with_tuples,
-)
+from hpac_gym.tasks.grasp_data import DATA, GraspError, NamedGrasp, grasps_of, with_tuples
 from hpac_gym.tasks.grasp_holds import Hole
 from hpac_gym.tasks.grasp_rules import ASKED, Rule
 from hpac_gym.tasks.terms import Term
@@ -44,47 +35,28 @@ class GraspType:
     rule: Rule
 
 
-def grasp_types_from_toml(text: str) -> dict[str, GraspType]:
-    """Types described by a TOML text: each is a grasp as in ``grasps.toml`` without `closed`, and
-    its `rule`.
-
-    Raises:
-        ParameterError: Not TOML, a name without a posture, or a field that is missing, unknown or
-            out of bounds.
-    """
-    try:
-        table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ParameterError(f"grasp types: {error}") from None
-    rules = {}
-    for name, entry in table.items():
-        if name == "held_out":
-            continue
-        if name not in POSTURES:
-            raise ParameterError(f"grasp type {name}: there is no posture of this name")
-        if "closed" in entry:
-            raise ParameterError(
-                f"grasp type {name}: unknown fields closed; the posture {name} says how the hand closes"
-            )
-        with refusing(f"grasp type {name}"):
-            rule = with_tuples(entry.pop("rule"))
-            holes = tuple(Hole(**with_tuples(hole)) for hole in rule.pop("holes", ()))
-            rules[name] = Rule(holes=holes, **rule)
-    # The synergies that reach the postures' q_d by Eqs. (14) and (15).
-    closed = {
-        name: clip_synergy(synergy_from_joints(clip_to_workspace(POSTURES[name].target_joint_pos)))
-        for name in rules
-    }
-    starts = grasps_from_toml(table, load_object_models(), closed)
-    return {name: GraspType(start, rules[name]) for name, start in starts.items()}
-
-
 def data_text() -> str:
     """Text of ``data/grasp_types.toml``."""
-    return (files("hpac_gym.tasks") / "data" / "grasp_types.toml").read_text(encoding="utf-8")
+    return (DATA / "grasp_types.toml").read_text(encoding="utf-8")
 
 
-GRASP_TYPES: Mapping[str, GraspType] = MappingProxyType(grasp_types_from_toml(data_text()))
+def _grasp_types() -> dict[str, GraspType]:
+    """The types of the file: each is a grasp as in ``grasps.toml`` without `closed`, and its
+    `rule`.
+    """
+    tables = tomllib.loads(data_text())
+    rules = {}
+    for name in tables.keys() - {"held_out"}:
+        rule = with_tuples(tables[name].pop("rule"))
+        holes = tuple(Hole(**with_tuples(hole)) for hole in rule.pop("holes", ()))
+        rules[name] = Rule(holes=holes, **rule)
+        # The synergy that reaches the posture's q_d by Eqs. (14) and (15).
+        reachable = clip_to_workspace(POSTURES[name].target_joint_pos)
+        tables[name]["closed"] = clip_synergy(synergy_from_joints(reachable))
+    return {name: GraspType(start, rules[name]) for name, start in grasps_of(tables).items()}
+
+
+GRASP_TYPES: Mapping[str, GraspType] = MappingProxyType(_grasp_types())
 """All grasp types by name, in the order of the paper's panels."""
 TYPE_SPLITS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hpac_gym.errors import ParameterError
 from hpac_gym.model import (
     HPAC,
     POSTURES,
@@ -26,8 +25,6 @@ from hpac_gym.tasks.grasp_setups import quaternion_from_rpy
 from hpac_gym.tasks.grasp_type_data import (
     GRASP_TYPES,
     TYPE_SPLITS,
-    data_text,
-    grasp_types_from_toml,
 )
 from hpac_gym.tasks.grasp_types import GraspByType, GraspTypeConfig
 
@@ -190,47 +187,6 @@ def test_a_digit_goes_through_a_ring_that_is_put_over_it_and_not_through_one_bes
     assert not is_kept(rule, hold(look(PINCH, centre=(0.0, 0.038, 0.200)))), "beyond its tip"
     for place, inside in ((0.0139, True), (0.0141, False)):
         assert ring.hit(np.array([place, 0.0, -0.01]), np.array([place, 0.0, 0.01])) == inside
-
-
-def test_rules_that_tell_nothing_or_contradict_the_hand_are_refused():
-    for changed, message in (
-        ({"touch": ("toe",)}, "touch has toe, which is not one of palm, thumb"),
-        ({"through": ("palm",)}, "through has palm"),
-        ({"fingers": 5}, r"fingers = 5 must be a number within \[0, 4\]"),
-        ({"across": 1.5}, r"across = 1.5 must be a number within \[0, 1\]"),
-        ({"press": -1.0}, r"press = -1.0 must be a number within \[0, inf\["),
-        ({"turn_deg": 0.0}, r"turn_deg = 0.0 must be a number within \]0, inf\["),
-        ({"side": "thumb"}, "side 'thumb' is not one of"),
-        ({"axis": "w"}, "axis 'w' is not one of x, y, z"),
-    ):
-        with pytest.raises(ParameterError, match=message):
-            Rule(**changed)
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        ("[rod]", "[rod", "grasp types: "),
-        ("[rod]", "[club]", "grasp type club: there is no posture of this name"),
-        (
-            "[rod]\n",
-            "[rod]\nclosed = [0, 0, 0, 0, 0, 0]\n",
-            "grasp type rod: unknown fields closed; the posture rod says",
-        ),
-        ("[rod.rule]\n", "[rod.rule]\ntoes = 3\n", "grasp type rod: .*toes"),
-        ("[rod.rule]\n", '[rod.rule]\nnever = ["toe"]\n', "grasp type rod: never has toe"),
-        ('object = "conduit"', 'object = "club"', "grasp rod: object 'club' is not one of"),
-    ],
-)
-def test_a_bad_file_of_types_is_refused_by_name(old: str, new: str, message: str):
-    text = data_text()
-    assert old in text
-    with pytest.raises(ParameterError, match=message):
-        grasp_types_from_toml(
-            text.replace(old, new, 1).replace(
-                "[rod.rule]", "[club.rule]" if "club]" in new else "[rod.rule]"
-            )
-        )
 
 
 @pytest.mark.parametrize(
