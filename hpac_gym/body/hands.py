@@ -2,9 +2,8 @@
 
 All share the palm, the joints and the workspace (Table I) of the nominal hand. A policy is never
 told which hand it controls, and its commands are computed with the nominal hand. Every range is
-chosen; the text below it gives the reason."""
+chosen; the text beside it gives the reason."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
@@ -22,28 +21,24 @@ SEED = 20_251
 SIZES = {"train": 32, "test": 8}
 """Number of hands in each set."""
 
-HAND_SIZE = (0.88, 1.12)
-"""Scale factor of all lengths of a hand: about the range of small to large adult hands, relative to
-a medium one.
-"""
-DIGIT_SIZE = (0.96, 1.04)
-"""Additional scale factor of a digit's lengths."""
-SEGMENT_SIZE = (0.97, 1.03)
-"""Additional scale factor of each link's length; the tendon path along the link scales with it."""
-THICKNESS = (0.92, 1.08)
-"""Scale factor of the radii of a digit's links."""
-PULLEY = (0.95, 1.05)
-"""Common scale factor of a digit's pulley radii, which keeps the paper's 5:4:5: tolerance of print
-and tendon diameter.
-"""
-GUIDE = (0.97, 1.03)
-"""Scale factors of a digit's guide distances d₁, d₂ and of its servo's hub radius, drawn
-independently.
-"""
-TENDON = (0.75, 1.2)
-"""Common scale factor of EA and of the drive stiffness: tendon wear."""
-SPRING = (0.8, 1.2)
-"""Scale factor of a digit's spring stiffness and, drawn separately, of the CMC stiffness."""
+RANGES = {
+    # All lengths of a hand: about the range of small to large adult hands, relative to a medium one.
+    "hand": (0.88, 1.12),
+    # In addition, the lengths of a digit, and each of its links with the tendon path along it.
+    "digit": (0.96, 1.04),
+    "segment": (0.97, 1.03),
+    # The radii of a digit's links.
+    "thickness": (0.92, 1.08),
+    # A digit's pulley radii together, which keeps the paper's 5:4:5: tolerance of print and tendon.
+    "pulley": (0.95, 1.05),
+    # A digit's guide distances d₁ and d₂ and its servo's hub radius, each by itself.
+    "guide": (0.97, 1.03),
+    # EA and the drive stiffness together: tendon wear.
+    "tendon": (0.75, 1.2),
+    # A digit's spring stiffness and, drawn separately, the CMC stiffness.
+    "spring": (0.8, 1.2),
+}
+"""Scale factors, lowest and highest."""
 SLACK = (0.0, 3e-3)
 """Slack of each driving tendon [m]."""
 SERVO_ZERO = 0.06
@@ -102,18 +97,16 @@ def hand_set(name: str) -> tuple[HandVariant, ...]:
 
 
 def _variant(name: str, index: int, rng: np.random.Generator) -> HandVariant:
-    size = rng.uniform(*HAND_SIZE)
+    size = rng.uniform(*RANGES["hand"])
     digits = {}
-    lengths = {}
-    thickness = {}
-    for digit in DIGITS:
+    bodies = []
+    for body in HPAC_GEOMETRY.digits:
         changed = None
         while changed is None or not _is_sound(changed):  # redraw if a joint would leave Table I
-            factors = size * rng.uniform(*DIGIT_SIZE) * rng.uniform(*SEGMENT_SIZE, 3)
-            changed = _changed_digit(HPAC.digits[digit], factors, rng)
-        digits[digit] = changed
-        lengths[digit] = factors
-        thickness[digit] = rng.uniform(*THICKNESS)
+            lengths = size * rng.uniform(*RANGES["digit"]) * rng.uniform(*RANGES["segment"], 3)
+            changed = _changed_digit(HPAC.digits[body.name], lengths, rng)
+        digits[body.name] = changed
+        bodies.append(body.scaled(lengths, rng.uniform(*RANGES["thickness"])))
     strength = np.ones(len(DIGITS))
     if index % 4 == 1:
         strength[rng.integers(len(DIGITS))] = rng.uniform(*WEAK)
@@ -125,9 +118,10 @@ def _variant(name: str, index: int, rng: np.random.Generator) -> HandVariant:
             HPAC,
             name=f"H-PAC {name}",
             digits=digits,
-            cmc_stiffness=HPAC.cmc_stiffness * rng.uniform(*SPRING),
+            cmc_stiffness=HPAC.cmc_stiffness * rng.uniform(*RANGES["spring"]),
         ),
-        scaled_geometry(HPAC_GEOMETRY, lengths, thickness),
+        # Opposition postures are searched for one geometry.
+        replace(HPAC_GEOMETRY, digits=tuple(bodies), opposition={}),
         tuple(rng.uniform(*SLACK, len(DIGITS)).tolist()),
         tuple(rng.uniform(-SERVO_ZERO, SERVO_ZERO, len(SERVOS)).tolist()),
         tuple(strength.tolist()),
@@ -139,18 +133,16 @@ def _changed_digit(digit: Digit, lengths: Array, rng: np.random.Generator) -> Di
     coupling passes.
     """
     links = lengths[1:] if digit.name == "thumb" else lengths
-    pulley = rng.uniform(*PULLEY)
-    tendon = rng.uniform(*TENDON)
-    d1, d2, hub = rng.uniform(*GUIDE, 3)
+    pulley = rng.uniform(*RANGES["pulley"])
+    tendon = rng.uniform(*RANGES["tendon"])
+    d1, d2, hub = rng.uniform(*RANGES["guide"], 3)
     numbers = {
         "d1": d1,
         "d2": d2,
         "servo_radius": hub,
         "joint_radius": pulley,
         "path_length": links[: len(digit.path_length)],
-    }
-    numbers |= {
-        "spring_stiffness": rng.uniform(*SPRING),
+        "spring_stiffness": rng.uniform(*RANGES["spring"]),
         "tendon_stiffness": tendon,
         "drive_stiffness": tendon,
     }
@@ -175,23 +167,3 @@ def _is_sound(digit: Digit) -> bool:
         * (min(digit.d1, digit.d2) / min(old.d1, old.d2)) ** 2
     )
     return bool((reached <= HPAC.joint_max[joints]).all() and max(*stiffer, drive) <= STIFFEST)
-
-
-def scaled_geometry(
-    geometry: Geometry, lengths: Mapping[str, Array], thickness: Mapping[str, float]
-) -> Geometry:
-    """A geometry with scaled links on the same palm; a link's mass scales with its length and
-    cross-section.
-
-    Args:
-        geometry: the geometry to scale.
-        lengths: scale factors of each digit's link lengths, from the palm outwards, shape (3,).
-        thickness: scale factor of each digit's link radii.
-
-    Returns:
-        The scaled geometry, without opposition postures, which are searched for one geometry.
-    """
-    digits = tuple(
-        digit.scaled(lengths[digit.name], thickness[digit.name]) for digit in geometry.digits
-    )
-    return replace(geometry, digits=digits, opposition={})

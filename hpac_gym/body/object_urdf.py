@@ -26,10 +26,10 @@ def object_urdf(model: ObjectModel) -> str:
     link = Xml.SubElement(robot, "link", name=model.name)
     add_inertial(link, model.center_of_mass, model.inertia, model.mass)
     for index, solid in enumerate(model.solids):
+        place = solid.center, _rpy(solid.rotation)
         form, size = _form(solid, index)
-        shape = add_shape(link, "visual", solid.center, _rpy(solid.rotation), form, **size)
-        Xml.SubElement(shape, "material", name="surface")
-        add_shape(link, "collision", solid.center, _rpy(solid.rotation), form, **size)
+        add_shape(link, "visual", *place, form, size, "surface")
+        add_shape(link, "collision", *place, form, size)
     Xml.indent(robot)
     return HEADER + Xml.tostring(robot, encoding="unicode") + "\n"
 

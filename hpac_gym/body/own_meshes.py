@@ -8,7 +8,6 @@ import json
 import math
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -46,22 +45,22 @@ its axes: more would slow PyBullet down.
 """
 
 
-@dataclass(frozen=True, slots=True)
-class Decomposition:
-    """How meshes are decomposed, and where their parts are cached; None is beside each mesh."""
-
-    settings: Mapping[str, Any]
-    folder: str | os.PathLike[str] | None
-
-
-def of_mesh(path: Path, scale: Array, how: Decomposition) -> list[Solid]:
+def of_mesh(
+    path: Path, scale: Array, settings: Mapping[str, Any], folder: str | os.PathLike[str] | None
+) -> list[Solid]:
     """The convex parts of a mesh, each with its volume as its mass; a mirroring scale turns the
     faces over.
+
+    Args:
+        path: the mesh.
+        scale: factors from the file's lengths to metres, shape (3,).
+        settings: settings of CoACD, of `DETAILS`.
+        folder: folder in which the parts are cached; None is beside the mesh.
     """
     if path.suffix.lower() not in MESHES:
         raise ParameterError(f"'{path}' is not one of {', '.join(MESHES)}, nor a .urdf")
-    kept = (path.parent if how.folder is None else Path(how.folder)) / f"{path.stem}.hulls.json"
-    made_from = {"sha256": hashlib.sha256(path.read_bytes()).hexdigest(), "coacd": how.settings}
+    kept = (path.parent if folder is None else Path(folder)) / f"{path.stem}.hulls.json"
+    made_from = {"sha256": hashlib.sha256(path.read_bytes()).hexdigest(), "coacd": settings}
     parts = _kept(kept, made_from)
     if parts is None:
         try:
@@ -70,7 +69,7 @@ def of_mesh(path: Path, scale: Array, how: Decomposition) -> list[Solid]:
             raise OutputError(
                 f"{error}: convex parts are kept there, or in folder= (--set object.folder=)"
             ) from None
-        parts = _decomposed(path, how.settings)
+        parts = _decomposed(path, settings)
         write_text(kept, json.dumps(made_from | {"parts": parts}))
     order = -1 if np.prod(scale) < 0 else 1
     return [

@@ -2,8 +2,9 @@
 
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from numbers import Real
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ import numpy as np
 from hpac_gym.body.geometry import rotation_about, rotation_from_rpy
 from hpac_gym.body.object_models import ObjectModel
 from hpac_gym.body.objects import GREY, ObjectSpec
-from hpac_gym.body.own_meshes import DETAILS, Decomposition, of_mesh
+from hpac_gym.body.own_meshes import DETAILS, of_mesh
 from hpac_gym.body.solids import Solid, bounds_of
 from hpac_gym.errors import ParameterError
 from hpac_gym.model.checks import Array
@@ -29,6 +30,8 @@ MAX_FRICTION = 2.0
 """Largest mass [kg] and Coulomb coefficient."""
 MAX_SCALE = 1000.0
 
+Reader = Callable[[Path, Array], list[Solid]]
+"""Convex parts of a mesh file with a scale, shape (3,)."""
 _UP = {"z": np.eye(3), "y": rotation_about((1, 0, 0), math.pi / 2)}
 
 
@@ -73,12 +76,12 @@ def own_object(
     for name, given, known in (("up", up, _UP), ("detail", detail, DETAILS)):
         if given not in list(known):
             raise ParameterError(f"{name} {given!r} is not one of {', '.join(known)}")
-    how = Decomposition(DETAILS[detail], folder)
+    read = partial(of_mesh, settings=DETAILS[detail], folder=folder)
     if path.suffix.lower() == ".urdf":
-        solids, stated_mass = _of_urdf(path, scale, how)
+        solids, stated_mass = _of_urdf(path, scale, read)
         mass = stated_mass if mass is None else mass
     else:
-        solids = of_mesh(path, np.full(3, scale), how)
+        solids = read(path, np.full(3, scale))
     if mass is None:
         raise ParameterError(f"'{path}' says no mass: give one in kg")
     _check_positive(f"'{path}'", "mass", mass, MAX_MASS)
@@ -145,13 +148,13 @@ def _spec(path: Path, solids: list[Solid], mass: float, friction: float) -> Obje
     return ObjectSpec("box", model.half_extents, mass, friction, model)
 
 
-def _of_urdf(path: Path, scale: float, how: Decomposition) -> tuple[list[Solid], float | None]:
+def _of_urdf(path: Path, scale: float, read: Reader) -> tuple[list[Solid], float | None]:
     """Collision shapes of a URDF, each with its volume as its mass, and the sum of its link masses;
     None if it has none.
     """
     try:
         robot = Xml.parse(path).getroot()
-        solids = _of_links(path, robot, how)
+        solids = _of_links(path, robot, read)
         mass = sum(float(entry.get("value")) for entry in robot.findall("link/inertial/mass"))
     except ParameterError:
         raise
@@ -162,7 +165,7 @@ def _of_urdf(path: Path, scale: float, how: Decomposition) -> tuple[list[Solid],
     return [solid.scaled(scale, scale**3) for solid in solids], mass or None
 
 
-def _of_links(path: Path, robot: Xml.Element, how: Decomposition) -> list[Solid]:
+def _of_links(path: Path, robot: Xml.Element, read: Reader) -> list[Solid]:
     parents = {}
     for joint in robot.findall("joint"):
         if joint.get("type") != "fixed":
@@ -184,7 +187,7 @@ def _of_links(path: Path, robot: Xml.Element, how: Decomposition) -> list[Solid]
             raise ParameterError(f"joints of '{path}' form a ring through link {name!r}")
         for shape in link.findall("collision"):
             turn, offset = _origin(shape)
-            for solid in _of_geometry(path, shape.find("geometry")[0], how):
+            for solid in _of_geometry(path, shape.find("geometry")[0], read):
                 if not all(side > 0 for side in solid.size):
                     sides = " x ".join(f"{side:g}" for side in solid.size)
                     raise ParameterError(
@@ -204,13 +207,13 @@ def _origin(element: Xml.Element) -> tuple[Array, Array]:
     return rotation_from_rpy(rpy), np.array(xyz)
 
 
-def _of_geometry(path: Path, form: Xml.Element, how: Decomposition) -> list[Solid]:
+def _of_geometry(path: Path, form: Xml.Element, read: Reader) -> list[Solid]:
     if form.tag == "mesh":
         name = form.get("filename", "")
         mesh = path.parent / name.removeprefix("file://")
         if not mesh.is_file():
             raise ParameterError(f"no mesh file '{mesh}', which '{path}' names")
-        return of_mesh(mesh, np.array(_numbers(form.get("scale", "1 1 1"))), how)
+        return read(mesh, np.array(_numbers(form.get("scale", "1 1 1"))))
     if form.tag == "box":
         x, y, z = _numbers(form.get("size"))
         return [Solid("box", x * y * z, (x, y, z), np.zeros(3), np.eye(3))]

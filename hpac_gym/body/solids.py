@@ -62,14 +62,16 @@ class Solid:
 
     def scaled(self, scale: float, heavier: float) -> Solid:
         """The solid with all lengths scaled about the origin, and its mass by another factor."""
-        x, y, z = (scale * side for side in self.size)
         hull = self.hull
-        if hull is not None and scale != 1:
+        if hull is not None:
             hull = Hull(scale * hull.vertices, hull.faces)
-        inner = scale * self.inner_radius
-        turn = self.rotation
-        return Solid(
-            self.kind, heavier * self.mass, (x, y, z), scale * self.center, turn, inner, hull
+        return replace(
+            self,
+            mass=heavier * self.mass,
+            size=tuple(scale * side for side in self.size),
+            center=scale * self.center,
+            inner_radius=scale * self.inner_radius,
+            hull=hull,
         )
 
     @property

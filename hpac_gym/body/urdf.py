@@ -151,11 +151,8 @@ def add_inertial(link: Xml.Element, center: Array, inertia: Array, mass: float) 
 
 
 def _add_collision(link: Xml.Element, solid: Solid) -> None:
-    if isinstance(solid, Box):
-        add_shape(link, "collision", solid.center, _rpy(solid), "box", size=text_of(solid.size))
-    else:
-        size = {"radius": text_of((solid.radius,)), "length": text_of((_length(solid),))}
-        add_shape(link, "collision", _center(solid), _rpy(solid), "capsule", **size)
+    kind = "box" if isinstance(solid, Box) else "capsule"
+    add_shape(link, "collision", _center(solid), _rpy(solid), kind, _size(solid))
 
 
 def _add_visual(
@@ -164,36 +161,35 @@ def _add_visual(
     """Add a capsule as a cylinder and two spheres, which PyBullet renders more smoothly than its
     own capsule.
     """
-    if isinstance(solid, Box):
-        shape = add_shape(
-            link, "visual", solid.center, _rpy(solid), "box", size=text_of(solid.size)
-        )
-        Xml.SubElement(shape, "material", name=material)
-        return
-    radius = text_of((solid.radius,))
-    tube = add_shape(
-        link,
-        "visual",
-        _center(solid),
-        _rpy(solid),
-        "cylinder",
-        radius=radius,
-        length=text_of((_length(solid),)),
-    )
-    start = add_shape(link, "visual", solid.start, _rpy(solid), "sphere", radius=radius)
-    end = add_shape(link, "visual", solid.end, _rpy(solid), "sphere", radius=radius)
-    for shape, name in ((tube, material), (start, material), (end, end_material or material)):
-        Xml.SubElement(shape, "material", name=name)
+    kind = "box" if isinstance(solid, Box) else "cylinder"
+    add_shape(link, "visual", _center(solid), _rpy(solid), kind, _size(solid), material)
+    if isinstance(solid, Capsule):
+        ball = {"radius": text_of((solid.radius,))}
+        add_shape(link, "visual", solid.start, _rpy(solid), "sphere", ball, material)
+        add_shape(link, "visual", solid.end, _rpy(solid), "sphere", ball, end_material or material)
 
 
 def add_shape(
-    link: Xml.Element, kind: str, center: Vector | Array, rpy: Vector, body: str, **size: str
-) -> Xml.Element:
-    """Add a visual or collision shape to a link."""
-    shape = Xml.SubElement(link, kind)
+    link: Xml.Element,
+    use: str,
+    center: Vector | Array,
+    rpy: Vector,
+    kind: str,
+    size: dict[str, str],
+    material: str = "",
+) -> None:
+    """Add a shape to a link for one use, "visual" or "collision"."""
+    shape = Xml.SubElement(link, use)
     Xml.SubElement(shape, "origin", xyz=text_of(center), rpy=text_of(rpy))
-    Xml.SubElement(Xml.SubElement(shape, "geometry"), body, size)
-    return shape
+    Xml.SubElement(Xml.SubElement(shape, "geometry"), kind, size)
+    if material:
+        Xml.SubElement(shape, "material", name=material)
+
+
+def _size(solid: Solid) -> dict[str, str]:
+    if isinstance(solid, Box):
+        return {"size": text_of(solid.size)}
+    return {"radius": text_of((solid.radius,)), "length": text_of((_length(solid),))}
 
 
 def _volume(solid: Solid) -> float:
