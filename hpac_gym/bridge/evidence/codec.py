@@ -28,16 +28,8 @@ def frame(
 
 def seal(body: bytes) -> bytes:
     """Header and payload with CRC-32 and COBS, between zeros."""
-    data = body + struct.pack("<I", zlib.crc32(body))
-    out = bytearray()
-    run = bytearray()
-    for byte in data:
-        if byte:
-            run.append(byte)
-        else:
-            out += bytes([len(run) + 1]) + run
-            run.clear()
-    return b"\0" + bytes(out) + bytes([len(run) + 1]) + bytes(run) + b"\0"
+    runs = (body + struct.pack("<I", zlib.crc32(body))).split(b"\0")
+    return b"\0" + b"".join(bytes([len(run) + 1]) + run for run in runs) + b"\0"
 
 
 def unseal(piece: bytes) -> tuple[bytes, bool] | None:

@@ -2,7 +2,7 @@
 
 import re
 import struct
-from dataclasses import dataclass
+from collections import namedtuple
 
 from hpac_gym.bridge.evidence import codec as wire
 from hpac_gym.bridge.limits import servo_limits
@@ -36,38 +36,13 @@ class BrokenRule(Exception):
     """The device violated a rule; the message states the actual and the required behaviour."""
 
 
-@dataclass(frozen=True, slots=True)
-class Hello:
-    session: int
-    limits_hash: int
-    trim_ns: tuple[int, ...]
-    reversed_mask: int
-    watchdog_ms: int
-    reset: int
-    state: int
-
-
-@dataclass(frozen=True, slots=True)
-class Status:
-    uptime_ms: int
-    state: int
-    fault: int
-    attached: int
-    moving: int
-    servo: tuple[int, ...]
-    heat_percent: tuple[int, ...]
-    rate_permille: int
-    last_seq: int
-    accepted: int
-    refused: int
-    bad_crc: int
-    bad_frame: int
-    bad_version: int
-    overrun: int
-    trips: int
-
-    def __str__(self) -> str:
-        return f"{name_of(State, self.state)}, fault {name_of(Fault, self.fault)}, servos {self.attached:06b}"
+Hello = namedtuple("Hello", "session limits_hash trim_ns reversed_mask watchdog_ms reset state")
+Status = namedtuple(
+    "Status",
+    "uptime_ms state fault attached moving servo heat_percent rate_permille last_seq accepted refused"
+    " bad_crc bad_frame bad_version overrun trips",
+)
+"""The integers of DEVICE_HELLO and DEVICE_STATUS, in their order; tuples of six by servo."""
 
 
 class Talk:
@@ -207,29 +182,24 @@ class Device(Talk):
             f"{_NAMES.get(kind, kind)} {text}: {told}, must be {reason.name}",
         )
 
+    def _answer(self, kind: int, payload: bytes, layout: str) -> tuple[int, ...]:
+        """Send HELLO or STATUS and return the integers of its answer, whose layout is given."""
+        answer = self.ask(kind, payload)
+        self.expect(answer is not SILENCE, f"{_NAMES[kind]} got no answer")
+        fits = len(answer.payload) == struct.calcsize(layout)
+        answered = answer.kind == _ANSWERS[kind] and fits
+        self.expect(answered, f"{_NAMES[kind]} answered by {_told(answer)}")
+        return struct.unpack(layout, answer.payload)
+
     def hello(self, nonce: int) -> Hello:
         """Send HELLO and return the answer."""
-        answer = self.ask(wire.HELLO, struct.pack("<I", nonce))
-        self.expect(answer is not SILENCE, "HELLO got no answer")
-        self.expect(
-            answer.kind == wire.DEVICE_HELLO and len(answer.payload) == 30,
-            f"HELLO answered by {_told(answer)}",
-        )
-        session, limits, *numbers = struct.unpack("<I3xI6hBHB2xB", answer.payload)
-        return Hello(session, limits, tuple(numbers[:6]), *numbers[6:])
+        numbers = self._answer(wire.HELLO, struct.pack("<I", nonce), "<I3xI6hBHB2xB")
+        return Hello._make((*numbers[:2], numbers[2:8], *numbers[8:]))
 
     def status(self, period_ms: int = 0) -> Status:
         """Request STATUS and return the answer."""
-        answer = self.ask(wire.STATUS, struct.pack("<H", period_ms))
-        self.expect(answer is not SILENCE, "STATUS got no answer")
-        self.expect(
-            answer.kind == wire.DEVICE_STATUS and len(answer.payload) == 50,
-            f"STATUS answered by {_told(answer)}",
-        )
-        numbers = struct.unpack("<I4B6h6BH2xHI5H2xH", answer.payload)
-        uptime_ms, state, fault, attached, moving = numbers[:5]
-        by_servo = numbers[5:11], numbers[11:17]
-        return Status(uptime_ms, state, fault, attached, moving, *by_servo, *numbers[17:])
+        numbers = self._answer(wire.STATUS, struct.pack("<H", period_ms), "<I4B6h6BH2xHI5H2xH")
+        return Status._make((*numbers[:5], numbers[5:11], numbers[11:17], *numbers[17:]))
 
     def must_be(
         self, state: State, when: str, fault: Fault | None = None, powered: bool | None = None
@@ -248,7 +218,7 @@ class Device(Talk):
             + (f" ({fault.name})" if fault is not None else "")
             + (" without pulses" if powered is False else "")
         )
-        self.expect(kept, f"{when} {status}, must be {wanted}")
+        self.expect(kept, f"{when} {_told_state(status)}, must be {wanted}")
         return status
 
     def arm(
@@ -293,7 +263,8 @@ class Device(Talk):
         """Wait after ARM until all servos have pulses and are at rest."""
         until = self.transport.now() + CONSTANTS["start_max_ms"] * 1e-3 + SLACK
         while (status := self.status()).attached != 0x3F or status.moving:
-            self.expect(status.state == State.armed, f"while servos start: {status}, must be armed")
+            told = f"while servos start: {_told_state(status)}, must be armed"
+            self.expect(status.state == State.armed, told)
             text = f"{CONSTANTS['start_max_ms']} ms after ARM servos {status.attached:06b} have pulses, moving {status.moving}"
             self.expect(self.transport.now() < until, text)
             self.live(0.03)
@@ -339,3 +310,8 @@ def _judge_ack(kind: int, payload: bytes) -> None:
 
 def _told(message: wire.Message) -> str:
     return f"message 0x{message.kind:02x} with {len(message.payload)} bytes"
+
+
+def _told_state(status: Status) -> str:
+    fault = name_of(Fault, status.fault)
+    return f"{name_of(State, status.state)}, fault {fault}, servos {status.attached:06b}"
