@@ -46,7 +46,7 @@ class Registered:
 
 
 TASKS = (
-    Registered("HPAC-Grasp-v0", "hpac_gym.tasks.grasp:grasp_task", 65),
+    Registered("HPAC-Grasp-v0", "hpac_gym.tasks.grasp:Grasp", 65),
     Registered("HPAC-GraspAny-v1", "hpac_gym.tasks.grasp_any:GraspAny", 145),
     Registered("HPAC-GraspType-v0", "hpac_gym.tasks.grasp_types:GraspByType", 65),
     Registered("HPAC-Gentle-v0", "hpac_gym.tasks.gentle:Gentle", 89),

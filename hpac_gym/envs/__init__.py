@@ -9,7 +9,7 @@ from hpac_gym.physics.engine import SceneSetup
 from hpac_gym.registration import register_all
 from hpac_gym.tasks.cameras import CameraNoise
 from hpac_gym.tasks.gentle import Gentle, GentleConfig, GentleSetup
-from hpac_gym.tasks.grasp import Grasp, GraspByName, GraspConfig
+from hpac_gym.tasks.grasp import Grasp, GraspConfig
 from hpac_gym.tasks.grasp_any import GraspAny
 from hpac_gym.tasks.grasp_any_setups import GraspAnyConfig, GraspAnySetup
 from hpac_gym.tasks.grasp_data import GRASPS, GraspError
@@ -31,7 +31,6 @@ __all__ = [
     "GraspAny",
     "GraspAnyConfig",
     "GraspAnySetup",
-    "GraspByName",
     "GraspByType",
     "GraspConfig",
     "GraspError",

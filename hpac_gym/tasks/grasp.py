@@ -73,10 +73,16 @@ class Grasp(Task):
             of them.
         object: the object of every episode; a dictionary holds the arguments of `own_object`, and
             None draws a primitive.
+        grasp: name of one of the sixteen `GRASPS`, with its own object, place and hand; None places
+            the object in front of the open hand.
+        variant: variant of a named grasp's object, such as "large" or "slippery"; see
+            `tasks/data/grasps.toml`.
 
     Raises:
-        ParameterError: Invalid config or object, or a config with ranges for an object of one's
-            own.
+        GraspError: Unknown grasp or variant; or `variant` without a named grasp, or `object` with
+            one.
+        ParameterError: Invalid config or object, or a config with ranges that a named grasp or an
+            object of one's own does not have.
     """
 
     phases = PHASES
@@ -90,7 +96,13 @@ class Grasp(Task):
         self,
         config: Annotated[GraspConfig | Mapping[str, Any] | None, CONFIG_OPTION] = None,
         object: Annotated[ObjectSpec | Mapping[str, Any] | None, OBJECT_OPTION] = None,
+        grasp: Annotated[str | None, GRASP_OPTION] = None,
+        variant: Annotated[str, VARIANT_OPTION] = NOMINAL,
     ) -> None:
+        if grasp is None and variant != NOMINAL:
+            raise GraspError(f"variant {variant!r} needs a named grasp: grasp=NAME")
+        if grasp is not None and object is not None:
+            raise GraspError(f"grasp {grasp!r} has its own object: give either grasp or object")
         self.config = settings_from(self.config_class(), config, "config")
         self.timetable = self.config.timetable
         self.object = None if object is None else as_object(object)
@@ -98,6 +110,11 @@ class Grasp(Task):
             self._refuse_ranges(
                 OBJECT_RANGES, "an object of one's own has its own size, mass and friction"
             )
+        self.grasp = None if grasp is None else named_grasp(grasp)
+        if self.grasp is not None:
+            self.variant = self.grasp.variant(variant)
+            reason = f"a named grasp such as {grasp!r} has its own object, place and hand"
+            self._refuse_ranges(RANGES, reason)
         self._ends = self.timetable.ends
         self.duration = self._ends[-1]
         self.terms = (*COMMAND_TERMS, *OBJECT_TERMS, *progress_terms(PHASES, self.duration))
@@ -131,7 +148,11 @@ class Grasp(Task):
         return super().prepare(num_worlds, noise)
 
     def setup(self, rng: np.random.Generator, hand: Hand = HPAC) -> SceneSetup:
-        """Draw one episode: the object, its place in front of the palm, and the open hand."""
+        """Draw one episode: the object, its place in front of the palm, and the open hand; or those
+        of a named grasp.
+        """
+        if self.grasp is not None:
+            return setup_of_grasp(self.grasp, self.variant, rng, hand)
         config = self.config
         shape = self.shapes[rng.integers(len(self.shapes))]
         width = rng.uniform(*config.radius)
@@ -192,67 +213,5 @@ class Grasp(Task):
             ),
         )
 
-
-class GraspByName(Grasp):
-    """Draws episodes of one named grasp; judges and rewards them as `Grasp` does.
-
-    Args:
-        name: name of the grasp.
-        variant: variant of its object; "nominal", or a held-out one.
-        config: drop criterion, timetable and reward weights; it has no ranges.
-
-    Raises:
-        GraspError: No grasp or variant has that name.
-        ParameterError: Invalid config, or one with ranges.
-    """
-
-    def __init__(
-        self,
-        name: str,
-        variant: str = NOMINAL,
-        config: GraspConfig | Mapping[str, Any] | None = None,
-    ) -> None:
-        super().__init__(config)
-        self.grasp = named_grasp(name)
-        self.variant = self.grasp.variant(variant)
-        reason = f"a named grasp such as {name!r} has its own object, place and hand"
-        self._refuse_ranges(RANGES, reason)
-
-    def setup(self, rng: np.random.Generator, hand: Hand = HPAC) -> SceneSetup:
-        """Draw one episode: the object's position in the hand frame, and its rotation about the
-        vertical.
-        """
-        return setup_of_grasp(self.grasp, self.variant, rng, hand)
-
     def script(self) -> Script:
         return ScriptedClosure(self.grasp)
-
-
-def grasp_task(
-    grasp: Annotated[str | None, GRASP_OPTION] = None,
-    variant: Annotated[str, VARIANT_OPTION] = NOMINAL,
-    object: Annotated[ObjectSpec | Mapping[str, Any] | None, OBJECT_OPTION] = None,
-    config: Annotated[GraspConfig | Mapping[str, Any] | None, CONFIG_OPTION] = None,
-) -> Grasp:
-    """The task of `HPAC-Grasp-v0`.
-
-    Args:
-        grasp: name of one of the sixteen `GRASPS`; None draws a primitive in front of the open
-            hand.
-        variant: variant of a named grasp's object, such as "large" or "slippery"; see
-            `tasks/data/grasps.toml`.
-        object: as for `Grasp`.
-        config: as for `Grasp`.
-
-    Raises:
-        GraspError: Unknown grasp or variant; or `variant` without a named grasp, or `object` with
-            one.
-        ParameterError: As from `Grasp` and `GraspByName`.
-    """
-    if grasp is None:
-        if variant != NOMINAL:
-            raise GraspError(f"variant {variant!r} needs a named grasp: grasp=NAME")
-        return Grasp(config, object)
-    if object is not None:
-        raise GraspError(f"grasp {grasp!r} has its own object: give either grasp or object")
-    return GraspByName(grasp, variant, config)

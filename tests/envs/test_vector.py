@@ -18,7 +18,7 @@ from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
 from gymnasium.wrappers import ClipAction, FlattenObservation
 from gymnasium.wrappers.vector import ClipAction as VectorClip, FlattenObservation as VectorFlatten
 
-from hpac_gym.envs import Grasp, GraspByName, HandVectorEnv, PickPlace, Posture
+from hpac_gym.envs import Grasp, HandVectorEnv, PickPlace, Posture
 from hpac_gym.envs.episodes import open_episodes
 from hpac_gym.errors import EpisodeError, ParameterError, ShapeError, WorkspaceError
 from hpac_gym.model import elastic_joints_from_servo, servo_from_action, streamed_servo
@@ -35,7 +35,8 @@ CLOSED = np.array([0.28, 1, 1, 1, 1, 0.53], np.float32)
 
 def ours(name: str = GRASP, num_envs: int = 3, **options) -> HandVectorEnv:
     """All hands in one process, on the default engine."""
-    task = GraspByName(options.pop("grasp")) if "grasp" in options else TASKS[name]()
+    own = {name: options.pop(name) for name in ("grasp",) if name in options}
+    task = TASKS[name](**own)
     given = {
         name: value for name, value in gymnasium.spec(name).kwargs.items() if name == "randomize"
     }

@@ -16,7 +16,7 @@ from hpac_gym.model import HPAC, JOINTS, servo_from_synergy
 from hpac_gym.physics.engine import HAND_POSITION, PARTS, PhysicsError, SceneSetup, SceneState
 from hpac_gym.physics.settings import HandSettings, ServoSettings, WorldSettings
 from hpac_gym.physics.simulation import ENGINES, Simulation, make_engine
-from hpac_gym.tasks.grasp import Grasp, GraspByName
+from hpac_gym.tasks.grasp import Grasp
 from hpac_gym.tasks.pick_place import PickPlace
 from hpac_gym.tasks.posture import Posture
 
@@ -32,7 +32,7 @@ engines = pytest.mark.parametrize("name", ENGINES)
 
 
 def setup(grasp: str | None, seed: int) -> SceneSetup:
-    task = Grasp() if grasp is None else GraspByName(grasp)
+    task = Grasp(grasp=grasp)
     return task.setup(np.random.default_rng(seed))
 
 
@@ -302,7 +302,7 @@ def test_contacts_are_those_of_the_state_and_push_into_the_object(name):
     simulation = Simulation(make_engine(name))
     start = setup("large_cylinder", 0)
     simulation.reset([0], [start])
-    simulation.command(servo_from_synergy(GraspByName("large_cylinder").grasp.closed)[None], 0.8)
+    simulation.command(servo_from_synergy(Grasp(grasp="large_cylinder").grasp.closed)[None], 0.8)
     simulation.rest(1.2)
     state = simulation.state()
     contacts = simulation.engine.contacts(0)
@@ -381,6 +381,8 @@ def test_a_simulation_has_the_servos_of_each_world(name):
 def test_an_engine_is_asked_for_by_name():
     with pytest.raises(ParameterError, match="engine 'newton' is not one of pybullet, mujoco"):
         make_engine("newton")
+    with pytest.raises(ParameterError, match="0 worlds: at least 1 is needed"):
+        make_engine("mujoco", 0)
 
 
 def test_an_engine_that_is_not_installed_says_what_to_do(monkeypatch):

@@ -22,7 +22,7 @@ from hpac_gym.physics.pybullet.objects import SimObject, add_fixed_box
 from hpac_gym.physics.pybullet.scene import Scene
 from hpac_gym.physics.pybullet.world import World
 from hpac_gym.physics.settings import WorldSettings
-from hpac_gym.tasks.grasp import GraspByName
+from hpac_gym.tasks.grasp import Grasp
 from hpac_gym.tasks.grasp_data import GRASPS, NOMINAL
 from hpac_gym.tasks.grasp_setups import quaternion_from_rpy
 
@@ -150,7 +150,7 @@ def test_at_no_corner_of_the_noise_anything_starts_inside_of_anything(
 
     The half of the sixteen corners in which every combination of three signs occurs.
     """
-    task = GraspByName(name, variant)
+    task = Grasp(grasp=name, variant=variant)
     grasp = task.grasp
     middle = task.setup(np.random.default_rng(0))
     for corner in ((x, y, z, x * y * z) for x, y, z in itertools.product((-1, 1), repeat=3)):
@@ -163,6 +163,6 @@ def test_at_no_corner_of_the_noise_anything_starts_inside_of_anything(
 def test_no_randomized_episode_starts_inside_of_the_hand(name: str, scene):
     for seed in range(30):
         rng = np.random.default_rng(seed)
-        setup = GraspByName(name).setup(rng)
+        setup = Grasp(grasp=name).setup(rng)
         scene.reset(changed_setup(setup, PRESETS["full"].draw(rng)))
         assert overlap(scene, ()) < 2e-4, f"with the seed {seed}"

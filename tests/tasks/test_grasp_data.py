@@ -8,7 +8,7 @@ from hpac_gym.body.object_models import load_object_models
 from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.model import HPAC, POSTURES
 from hpac_gym.physics.engine import matrix_from_quaternion
-from hpac_gym.tasks.grasp import GraspByName
+from hpac_gym.tasks.grasp import Grasp
 from hpac_gym.tasks.grasp_data import GRASPS, NOMINAL
 from hpac_gym.tasks.grasp_setups import quaternion_from_rpy
 
@@ -49,7 +49,7 @@ def test_the_closed_hand_is_within_reach_and_differs_from_the_open_one(name: str
 
 def test_held_out_variants_change_what_they_name():
     def drawn(variant: str) -> ObjectSpec:
-        return GraspByName("large_cylinder", variant).setup(np.random.default_rng(0)).object
+        return Grasp(grasp="large_cylinder", variant=variant).setup(np.random.default_rng(0)).object
 
     spec = {variant: drawn(variant) for variant in (NOMINAL, "heavy", "large")}
     assert spec["heavy"].mass == pytest.approx(1.5 * spec[NOMINAL].mass)
@@ -65,7 +65,7 @@ def test_held_out_variants_change_what_they_name():
 @pytest.mark.parametrize("name", NAMES)
 def test_a_held_out_shape_is_another_object_of_the_same_mass_and_friction(name: str):
     nominal, shape = (
-        GraspByName(name, variant).setup(np.random.default_rng(0)).object
+        Grasp(grasp=name, variant=variant).setup(np.random.default_rng(0)).object
         for variant in (NOMINAL, "shape")
     )
     assert shape.model == GRASPS[name].variant("shape").object != nominal.model
@@ -80,7 +80,7 @@ def test_a_held_out_shape_is_drawn_only_when_asked_for(name: str):
     others = [variant for variant in (NOMINAL, *GRASPS[name].held_out) if variant != "shape"]
 
     def drawn(variant: str) -> set[str]:
-        task = GraspByName(name, variant)
+        task = Grasp(grasp=name, variant=variant)
         return {task.setup(np.random.default_rng(seed)).object.model.name for seed in range(20)}
 
     assert set.union(*map(drawn, others)) == {own}

@@ -12,7 +12,7 @@ from hpac_gym.model import FINGERS, HPAC, elastic_joints_from_servo
 from hpac_gym.physics.engine import PARTS, Contacts, SceneState, matrix_from_quaternion
 from hpac_gym.tasks.cameras import CameraNoise
 from hpac_gym.tasks.gentle import Gentle
-from hpac_gym.tasks.grasp import Grasp, GraspByName, GraspConfig
+from hpac_gym.tasks.grasp import Grasp, GraspConfig
 from hpac_gym.tasks.grasp_any import GraspAny, GraspAnyConfig
 from hpac_gym.tasks.grasp_setups import PALM_SURFACE, GraspWeights
 from hpac_gym.tasks.grasp_types import GraspByType, GraspTypeConfig
@@ -41,7 +41,7 @@ def of_type(*config: GraspTypeConfig) -> GraspByType:
 
 TASKS = {
     "grasp": Grasp,
-    "named": lambda: GraspByName("hook"),
+    "named": lambda: Grasp(grasp="hook"),
     "any": of_any,
     "type": of_type,
     "place": PickPlace,
