@@ -150,40 +150,50 @@ class Worlds(Source):
         self._generators = [
             np.random.default_rng(seed + self._first + world) for world in range(self.steps)
         ]
-        self._fresh = np.ones(self.steps, dtype=bool)
+        self._begin(np.arange(self.steps))
 
     def step(self, learner: Any, meanwhile: Callable[[], None] = lambda: None) -> Columns:
-        """Advance all worlds by one control period.
+        """Advance all worlds by one control period, and begin new episodes where some ended.
 
         Args:
             learner: makes the decisions and selects the trials to run.
-            meanwhile: called while another thread runs the physics, to use two cores.
+            meanwhile: called while another thread advances the worlds, to use two cores.
 
         Returns:
             The trials that ended, as arguments of `Trials.add`.
         """
-        worlds = np.flatnonzero(self._fresh)
-        for _ in range(DRAWS):
+        worlds = np.flatnonzero(self._steps == 0)
+        for draw in range(DRAWS):
             if not len(worlds):
                 break
-            self.episodes.reset(worlds.tolist(), [self._generators[world] for world in worlds])
-            self.first_seen[worlds] = self._seen()[worlds]
-            self._steps[worlds] = 0
+            if draw:
+                self._begin(worlds)
             self._decisions[worlds] = learner.decide(self.first_seen[worlds])
             worlds = worlds[~learner.accepted(self.first_seen[worlds], self._decisions[worlds])]
-        phase = self.episodes.now.phase.copy()
-        actions = self._closures.actions(self._decisions, self._steps).astype(np.float32)
-        physics = self._thread.submit(self.episodes.step, actions)
+        advancing = self._thread.submit(self._advance)
         meanwhile()
-        physics.result()
+        return advancing.result()
+
+    def _begin(self, worlds: np.ndarray) -> None:
+        self.episodes.reset(worlds.tolist(), [self._generators[world] for world in worlds])
+        self.first_seen[worlds] = self._seen()[worlds]
+        self._steps[worlds] = 0
+
+    def _advance(self) -> Columns:
+        phase = self.episodes.now.phase.copy()
+        self.episodes.step(self._closures.actions(self._decisions, self._steps).astype(np.float32))
         self._steps += 1
         closing = phase <= self._close
         self._end_state[closing] = self._seen()[closing, self.deployed :]
-        self._fresh = (self.episodes.outcome != RUNNING) | (self._steps >= self._most_steps)
-        ended = np.flatnonzero(self._fresh)
+        over = (self.episodes.outcome != RUNNING) | (self._steps >= self._most_steps)
+        ended = np.flatnonzero(over)
         held = self.episodes.outcome[ended] == SUCCESS
         survived = np.where(held, self.phases, phase[ended])
-        return self.first_seen[ended], self._decisions[ended], survived, self._end_state[ended]
+        columns = self.first_seen, self._decisions, self._end_state
+        seen, decisions, end_state = (column[ended] for column in columns)
+        if len(ended):
+            self._begin(ended)
+        return seen, decisions, survived, end_state
 
     def _seen(self) -> np.ndarray:
         return np.hstack([self.episodes.observe(), self._told])
