@@ -8,14 +8,12 @@ import weakref
 from collections.abc import Callable
 from contextlib import suppress
 from functools import wraps
-from time import monotonic, sleep
 from typing import Concatenate, ParamSpec, Self, TypeVar
 
 from hpac_gym.bridge.connection import Connection, Turns
 from hpac_gym.bridge.errors import (
     BridgeError,
     FrameError,
-    HandshakeError,
     PortError,
     StoppedError,
 )
@@ -155,22 +153,6 @@ class Line:
         except BaseException as error:
             self._end(error)
             raise
-
-    def reconnect(self, timeout: float = 10.0) -> HandInfo:
-        """Wait for the port for up to `timeout` [s, wall clock], and connect. The hand is then not
-        armed.
-
-        Raises:
-            PortError, HandshakeError: The port did not return in time; the last reason is given.
-        """
-        deadline = monotonic() + timeout
-        while True:
-            try:
-                return self.connect()
-            except (PortError, HandshakeError):
-                if monotonic() >= deadline:
-                    raise
-                sleep(0.05)
 
     def estop(self) -> None:
         """Stop all pulses now and latch a fault, in any state, from any thread or signal handler. A

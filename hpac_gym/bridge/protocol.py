@@ -73,13 +73,11 @@ DESCRIPTION = tomllib.loads(SOURCE)
 """The contents of the file."""
 
 VERSION: int = DESCRIPTION["version"]
-FIRMWARE_VERSION: tuple[int, int, int] = tuple(DESCRIPTION["firmware_version"])
 HEADER = _read_fields(DESCRIPTION["frame"]["header"])
 HEADER_LENGTH = _length(HEADER)
 CRC_LENGTH = 4
 
 FLAG_MINIMUM_JERK: int = DESCRIPTION["flags"]["minimum_jerk"]
-FLAG_NO_ACK: int = DESCRIPTION["flags"]["no_ack"]
 
 CONSTANTS: dict[str, int] = DESCRIPTION["constants"]
 PULSE: dict[str, int] = DESCRIPTION["pulse"]
@@ -105,15 +103,6 @@ FRAME_MAX = HEADER_LENGTH + max(message.length for message in MESSAGES.values())
 
 ANGLE_UNIT = CONSTANTS["angle_unit_urad"] / 1e6
 """One step of an angle on the wire [rad]."""
-
-_TRIM_BITS = 8 * next(
-    part.size for part in MESSAGES["device_hello"].fields if part.name == "trim_ns"
-)
-TRIM_NS = (-(2 ** (_TRIM_BITS - 1)), 2 ** (_TRIM_BITS - 1) - 1)
-"""Smallest and largest zero trim that DEVICE_HELLO can tell [ns]."""
-
-NO_SERVO = 255
-"""Value of the `servo` field of an ACK or FAULT that does not concern a single servo."""
 
 
 def name_of(enum: type[IntEnum], value: int) -> str:

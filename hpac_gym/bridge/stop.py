@@ -21,7 +21,7 @@ _PERIOD = 0.1
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of `hpac estop`."""
     parser.add_argument("--port", required=True, help="port of the hand; may be in use")
-    parser.add_argument("--hand", metavar="FILE", help="checked after the stop, which needs none")
+    parser.add_argument("--hand", metavar="FILE", help="as in other commands; not read by a stop")
     add_json(parser)
     parser.set_defaults(run=run)
 
@@ -41,10 +41,6 @@ def run(options: argparse.Namespace) -> int:
     except (LinkTimeout, PortError) as error:
         raise type(error)(f"ESTOP is not confirmed, switch the servo supply off: {error}") from None
     _tell(options.json, "stopped: no pulses, fault estop; `hpac clear` leaves it")
-    if options.hand:  # a file that cannot be read is an error, but must not delay the stop
-        from hpac_gym.model import load_hand
-
-        load_hand(options.hand)
     return 0
 
 

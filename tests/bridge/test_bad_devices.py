@@ -115,7 +115,7 @@ def test_half_a_frame_before_the_cable_is_pulled_does_no_harm(virtual_hand, arme
     virtual_hand.receive(
         encode(Frame("move", 50, 0, {"session": 1, "duration_ms": 500, "servo": (5000,) * 6}))[:13]
     )
-    armed.reconnect()
+    armed.connect()
     armed.arm()
     armed.move(ServoCommand(np.full(6, 0.2), 0.4))
     np.testing.assert_allclose(armed.wait().servo, 0.2, atol=1e-4)

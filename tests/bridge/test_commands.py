@@ -31,7 +31,7 @@ from hpac_gym.bridge.doctor import diagnose
 from hpac_gym.bridge.frame import Frame, encode
 from hpac_gym.bridge.hands import VirtualTransport, config_of, default_config
 from hpac_gym.bridge.protocol import Fault, State
-from hpac_gym.errors import HpacError, WorkspaceError
+from hpac_gym.errors import WorkspaceError
 from hpac_gym.model import HPAC, SERVOS, ServoCommand, hand_to_toml
 from tests.bridge.devices import Device, of_another_version, of_zeros, refusing, without_status
 from tests.processes import wait_for
@@ -328,11 +328,9 @@ def test_a_status_confirms_an_estop_by_its_fault_and_no_pulses(attached, fault, 
             stop.stop(device)
 
 
-def test_a_hand_file_that_cannot_be_read_does_not_delay_an_estop(host_board, tmp_path, capsys):
-    with pytest.raises(HpacError, match=r"no\.toml: No such file"):
-        run("estop", "--port", host_board.port, "--hand", str(tmp_path / "no.toml"))
-    assert capsys.readouterr().out.startswith("stopped")
-    assert "fault estop" in diagnose(host_board.port, host_board.port).what
+def test_a_hand_file_that_cannot_be_read_does_not_disturb_an_estop(host_board, tmp_path):
+    assert run("estop", "--port", host_board.port, "--hand", str(tmp_path / "no.toml")) == 0
+    assert not host_board.pulses().any()
 
 
 def test_the_port_host_starts_a_board_for_as_long_as_the_command_runs(capsys):

@@ -20,7 +20,6 @@ from hpac_gym.bridge import (
     StoppedError,
     UnconfirmedWarning,
     connection,
-    line,
 )
 from hpac_gym.bridge.connection import Turns
 from hpac_gym.bridge.doctor import _judge, _unanswered, diagnose
@@ -443,25 +442,6 @@ def test_who_preempts_insists_every_fiftieth_of_a_second_for_three(monkeypatch):
     with turns.preempt("estop()", lambda: insisted.append(clock[0])):
         assert clock[0] == pytest.approx(3.0, abs=0.03)
     np.testing.assert_allclose(np.diff(insisted), 0.02)
-
-
-def test_reconnecting_is_tried_every_twentieth_of_a_second_for_ten(monkeypatch):
-    clock = [0.0]
-    pauses = []
-
-    def refuse():
-        raise PortError("no such port")
-
-    monkeypatch.setattr(line, "monotonic", lambda: clock[0])
-    monkeypatch.setattr(
-        line,
-        "sleep",
-        lambda seconds: (pauses.append(seconds), clock.__setitem__(0, clock[0] + seconds)),
-    )
-    with pytest.raises(PortError, match="no such port"):
-        HandLink(refuse).reconnect()
-    assert set(pauses) == {0.05}
-    assert clock[0] == pytest.approx(10.0, abs=0.06)
 
 
 def test_who_preempts_nobody_stops_nobody():

@@ -195,7 +195,7 @@ def test_what_belongs_to_a_connection_starts_anew_with_the_next():
     with HandLink(lambda: next(hands).connect()) as link:
         link.arm(watchdog=2.0)
         hand.run(1.0)
-        link.reconnect()
+        link.connect()
         link.arm(watchdog=0.1)
         link.sleep(1.0)
         assert link.status().counters["watchdog_trips"] == 0

@@ -43,7 +43,7 @@ WORKS = (
     "sys.exit(3)",
     "raise KeyboardInterrupt",
     "link.estop()",
-    "link.reconnect(); link.arm(); link.sleep({seconds})",
+    "link.connect(); link.arm(); link.sleep({seconds})",
 )
 """What a program does with its armed hand."""
 UNSEEN = (

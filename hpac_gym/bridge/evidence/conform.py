@@ -4,7 +4,7 @@ It uses a codec of its own and observes only the device's answers, so that it ru
 device that claims to implement the protocol: a board, the host board, a virtual hand, a user's own
 firmware."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -39,26 +39,23 @@ class Row:
         return "\n        ".join(filter(None, [f"{self.tried:5} tries  {self.rule}", self.failure]))
 
 
-def conform(
-    transport: Transport, hand: Hand = HPAC, patience: float = 0.3, rules: Iterable[str] = RULES
-) -> Iterator[Row]:
+def conform(transport: Transport, hand: Hand = HPAC, patience: float = 0.3) -> Iterator[Row]:
     """Check every rule on the device behind a transport, one after the other. The transport is
     closed at the end.
 
     Args:
         hand: the hand whose limits the device should have.
         patience: time-out of one answer [s].
-        rules: names of the rules, of `RULES`.
     """
     device = Device(transport, hand, patience)
     try:
         with suppress(BrokenRule):
             device.hash = device.hello(0).limits_hash
-        for rule in rules:
+        for rule, check in RULES.items():
             device.tried = 0
             failure = ""
             try:
-                RULES[rule](device)
+                check(device)
             except BrokenRule as broken:
                 failure = str(broken)
             yield Row(rule, device.tried, failure)
