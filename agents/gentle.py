@@ -6,7 +6,7 @@ Stable-Baselines3 goes on from there, whose critic also sees the true forces. Th
 ``policy.hpac``."""
 
 import sys
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +31,7 @@ from hpac_gym.model.checks import Array
 from hpac_gym.output import writable_folder
 from hpac_gym.physics.settings import BODIES
 from hpac_gym.policies import PolicyFile, write_policy
+from hpac_gym.policies.increments import Recent
 from hpac_gym.registration import GENTLE
 
 WORLDS = 128
@@ -39,6 +40,16 @@ UPDATES = 250
 """Of a round of imitation; the last has three times as many."""
 WARMING = 10
 """First rollouts, in which the critic alone learns."""
+
+
+def replaced(recent: Recent, worlds: Array, other: Recent) -> Recent:
+    """The same, with some worlds of another one; `worlds` are booleans, shape (n,)."""
+    chosen = {}
+    for entry in fields(Recent):
+        mine = getattr(recent, entry.name)
+        mask = worlds.reshape(-1, *[1] * (mine.ndim - 1))
+        chosen[entry.name] = np.where(mask, getattr(other, entry.name), mine)
+    return Recent(**chosen)
 
 
 class Hands(VecEnvWrapper):
@@ -81,7 +92,7 @@ class Hands(VecEnvWrapper):
         seen, reward, done, infos = self.venv.step_wait()
         self.ended += int(done.sum())
         self.steps += len(done)
-        self.recent = MOVES.see(self.recent, seen).replaced(done, MOVES.begin(seen))
+        self.recent = replaced(MOVES.see(self.recent, seen), done, MOVES.begin(seen))
         observed = self._observed()
         for world in np.flatnonzero(done):  # no episode is truncated, so that nobody reads it
             infos[world]["terminal_observation"] = observed[world]

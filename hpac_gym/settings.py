@@ -14,13 +14,10 @@ from hpac_gym.errors import ParameterError
 Settings = TypeVar("Settings")
 
 
-_PLAIN = (float, int)
-
-
 def _are_numbers(given: object, count: int) -> bool:
     values = given if isinstance(given, list | tuple) else ()
     return len(values) == count and all(
-        type(value) in _PLAIN or (isinstance(value, Real) and not isinstance(value, bool))
+        type(value) in (float, int) or (isinstance(value, Real) and not isinstance(value, bool))
         for value in values
     )
 
@@ -72,7 +69,6 @@ class _Bounded:
     default: Any
     low: float
     high: float
-    above: bool
     count: int
     """Number of values."""
     ordered: bool
@@ -80,12 +76,11 @@ class _Bounded:
     """What is allowed, in words."""
 
     def admits(self, values: Sequence[float]) -> bool:
-        for value in values:  # NaN is within no bounds
-            if not (self.low < value if self.above else self.low <= value):
-                return False
-            if not (-math.inf < value <= self.high and value < math.inf):
-                return False
-        return not (self.ordered and values[0] > values[1])
+        """Whether all are finite and within the bounds, and those of a range in order."""
+        within = all(
+            self.low <= value <= self.high and -math.inf < value < math.inf for value in values
+        )
+        return within and not (self.ordered and values[0] > values[1])
 
 
 @cache
@@ -104,13 +99,10 @@ def _bounded(kind: type) -> tuple[_Bounded, ...]:
         )
         unit = f" {told['unit']}" if "unit" in told else ""
         begin = "]" if told.get("above") or low == -math.inf else "["
+        lowest = math.nextafter(low, math.inf) if told.get("above") else low
         end = "[" if high == math.inf else "]"
         words = f"{unit.strip()} must be {what} within {begin}{low:g}, {high:g}{end}{unit}".strip()
-        rows.append(
-            _Bounded(
-                entry.name, entry.default, low, high, bool(told.get("above")), count, ordered, words
-            )
-        )
+        rows.append(_Bounded(entry.name, entry.default, lowest, high, count, ordered, words))
     return tuple(rows)
 
 
@@ -128,8 +120,10 @@ def settings_from(default: Settings, given: Any, name: str) -> Settings:
         ParameterError: Wrong type, unknown field or refused value; the message names the field.
     """
     kind = type(default)
-    if given is None or isinstance(given, kind):
-        return default if given is None else given
+    if given is None:
+        return default
+    if isinstance(given, kind):
+        return given
     if not isinstance(given, Mapping):
         raise ParameterError(
             f"{name} {given!r} is neither a {kind.__name__} nor a mapping of its fields"

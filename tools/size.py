@@ -37,7 +37,7 @@ PRICES = {
     ),
     "data sets, ONNX, Stable-Baselines3": (
         *("evaluation/dataset.py", "evaluation/lerobot.py"),
-        *("policies/export.py", "policies/card.py", "policies/onnx_model.py"),
+        *("policies/export.py", "policies/onnx_model.py"),
         *("policies/sb3.py", "envs/sb3.py"),
     ),
     "the benchmark's protocol": tuple(

@@ -8,7 +8,7 @@ without a simulator."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -84,21 +84,14 @@ class Closures:
             object.__setattr__(self, entry.name, (float(given[0]), float(given[1])))
 
     @classmethod
-    def of(cls, ranges: Mapping[str, Sequence[float] | None]) -> Closures:
+    def of(cls, ranges: Mapping[str, Any]) -> Closures:
         """The closures that a policy file describes.
 
         Raises:
             PolicyError: A name is unknown, or a range is invalid.
         """
-        unknown = set(ranges) - {entry.name for entry in fields(cls)}
-        if unknown:
-            raise PolicyError(f"a closure has no {', '.join(sorted(unknown))}")
-        given: dict[str, Any] = {
-            name: tuple(value) if isinstance(value, list) else value
-            for name, value in ranges.items()
-        }
         try:
-            return cls(**given)
+            return cls(**ranges)
         except (TypeError, ValueError) as error:
             raise PolicyError(f"invalid closure ranges: {error}") from None
 

@@ -5,7 +5,7 @@ It needs only numpy, so that a host with a real hand runs one without a simulato
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -31,15 +31,6 @@ class Recent:
     step: Array
     early: Array
     last: Array
-
-    def replaced(self, worlds: Array, other: Recent) -> Recent:
-        """The same, with some worlds of another one; `worlds` are booleans, shape (n,)."""
-        chosen = {}
-        for entry in fields(self):
-            mine = getattr(self, entry.name)
-            mask = worlds.reshape(-1, *[1] * (mine.ndim - 1))
-            chosen[entry.name] = np.where(mask, getattr(other, entry.name), mine)
-        return Recent(**chosen)
 
 
 @dataclass(frozen=True, slots=True)

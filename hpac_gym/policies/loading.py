@@ -3,17 +3,17 @@
 from importlib import import_module
 from inspect import signature
 from typing import Any
+from zipfile import is_zipfile
 
 import gymnasium
 
 from hpac_gym.errors import PolicyError
 from hpac_gym.policies.baselines import BASELINES
-from hpac_gym.policies.card import read_card
 from hpac_gym.policies.made_for import options_of, require_fit
-from hpac_gym.policies.onnx_model import read_onnx
+from hpac_gym.policies.onnx_model import read_card, read_onnx
 from hpac_gym.policies.policy import LearnedPolicy, Policy
-from hpac_gym.policies.policy_file import SHIPPED, PolicyFile, policy_path, read_policy
-from hpac_gym.policies.sb3 import about_model, is_model, read_model
+from hpac_gym.policies.policy_file import SHIPPED, policy_path, read_policy
+from hpac_gym.policies.sb3 import about_model, read_model
 
 NAMES = (
     f"{', '.join(BASELINES)}, a shipped policy ({', '.join(SHIPPED)}), or FILE.hpac, MODEL.zip, FOLDER or "
@@ -45,10 +45,12 @@ def load_policy(name: str, env: gymnasium.Env[Any, Any], normalize: str | None =
     path = policy_path(name)
     if path.is_dir():
         return read_onnx(path, env)
-    if is_model(path):
+    if is_zipfile(path):
         return read_model(path, env, normalize)
     if path.exists():
-        return LearnedPolicy.of(policy_file_for(name, env))
+        file = read_policy(name)
+        require_fit(f"policy file '{name}'", file.about, file.sizes, env)
+        return LearnedPolicy.of(file)
     module, *rest = name.split(":", 2)
     if not rest:
         raise PolicyError(
@@ -87,7 +89,7 @@ def about(name: str, normalize: str | None = None) -> dict[str, Any]:
     path = policy_path(name)
     if not path.exists():
         return {}
-    if is_model(path):
+    if is_zipfile(path):
         return about_model(path, normalize)
     return read_card(path) if path.is_dir() else read_policy(name).about
 
@@ -105,28 +107,3 @@ def shipped_for(env_id: str) -> str:
     """Name of a shipped policy of an environment; ``scripted`` if there is none."""
     made = {about(name)["env_id"].removeprefix("hpac_gym:"): name for name in reversed(SHIPPED)}
     return made.get(env_id.removeprefix("hpac_gym:"), "scripted")
-
-
-def policy_file_for(name: str, env: gymnasium.Env[Any, Any]) -> PolicyFile:
-    """Read a policy file and check it against the environment.
-
-    Raises:
-        PolicyError: The file is missing, damaged, or made for another environment.
-    """
-    policy = read_policy(name)
-    try:
-        require_fit(
-            f"policy file '{name}'",
-            policy.about["env_id"],
-            policy.about.get("made_for", {}),
-            policy.sizes,
-            env,
-            options_of(policy.about),
-        )
-    except (TypeError, ValueError, AttributeError) as error:
-        if isinstance(error, PolicyError):
-            raise
-        raise PolicyError(
-            f"policy file '{name}' is damaged: made_for is not readable: {error}"
-        ) from None
-    return policy

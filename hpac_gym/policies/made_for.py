@@ -54,7 +54,7 @@ def difference(file: Mapping[str, Any], here: Mapping[str, Any]) -> str | None:
 
     Missing entries are not compared. The task's configuration is recorded but not compared, since a
     policy may be evaluated on other ranges than it was trained on; nor is the hand, since a policy
-    acts in synergies, which mean the same on every hand: see `other_hand`."""
+    acts in synergies, which mean the same on every hand."""
     for name in ("control_hz", "action"):
         if name in file and name in here and file[name] != here[name]:
             return f"{name} was {file[name]}, and is {here[name]}"
@@ -69,17 +69,6 @@ def difference(file: Mapping[str, Any], here: Mapping[str, Any]) -> str | None:
         if first != second:
             return f"observation entry {place} was {_told(first)}, and is {_told(second)}"
     return None
-
-
-def other_hand(file: Mapping[str, Any], env: gymnasium.Env[Any, Any]) -> str | None:
-    """A remark that a policy was made with the model of another hand; None if it was not, or with
-    the nominal one, whose policies are for calibrated hands too.
-    """
-    made_with = file.get("hand_sha256")
-    hand = _model(env)
-    if made_with is None or any(made_with == _digest(hand_to_toml(one)) for one in (HPAC, hand)):
-        return None
-    return f"was made with another hand, and acts here with the model of '{hand.name}'"
 
 
 def id_of(env: gymnasium.Env[Any, Any]) -> str:
@@ -98,38 +87,40 @@ def options_of(told: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def require_fit(
-    what: str,
-    env_id: str,
-    file: Mapping[str, Any],
-    sizes: tuple[int, int],
-    env: gymnasium.Env[Any, Any],
-    needs: Mapping[str, Any],
+    what: str, told: Mapping[str, Any], sizes: tuple[int, int], env: gymnasium.Env[Any, Any]
 ) -> None:
-    """Refuse a policy that was made for another interface; warn of one made with another hand.
+    """Refuse a policy that was made for another interface; warn of one made with the model of
+    another hand, unless it is the nominal one, whose policies are for calibrated hands too.
 
     Args:
         what: the policy in the message, such as "policy file 'policy.hpac'".
-        env_id: id of the environment that it was made for, with or without the module that
-            registers it.
-        file: its `made_for`.
+        told: its description: `env_id`, with or without the module that registers it; its
+            `made_for`; and what `options_of` reads, without which the sizes are others.
         sizes: numbers of values that it observes, and of its actions.
         env: the environment in which it is to act.
-        needs: its `options_of`, without which the sizes are others.
 
     Raises:
         PolicyError: It was made for another environment, rate, action or observation.
     """
     here = id_of(env)
-    if env_id.rpartition(":")[2] != here.rpartition(":")[2]:
-        raise PolicyError(f"{what} was trained on {env_id}, not on {here}")
-    if differs := difference(file, made_for(env)):
+    made = told.get("made_for", {})
+    if told["env_id"].rpartition(":")[2] != here.rpartition(":")[2]:
+        raise PolicyError(f"{what} was trained on {told['env_id']}, not on {here}")
+    try:
+        differs = difference(made, made_for(env))
+    except (TypeError, ValueError) as error:
+        raise PolicyError(f"{what} is damaged: made_for is not readable: {error}") from None
+    if differs:
         raise PolicyError(f"{what} does not fit {here}: {differs}")
     if (observed := vector_size(env.observation_space)) is None:
         raise PolicyError(f"{what} takes a vector, {here} observes {env.observation_space}")
     if sizes != (wanted := (observed, vector_size(env.action_space))):
-        told = "".join(f"; it needs {name}={value!r}" for name, value in needs.items())
-        raise PolicyError(f"{what} maps {sizes} values, {here} needs {wanted}{told}")
-    if remark := other_hand(file, env):
+        needs = "".join(f"; it needs {name}={value!r}" for name, value in options_of(told).items())
+        raise PolicyError(f"{what} maps {sizes} values, {here} needs {wanted}{needs}")
+    hand = _model(env)
+    fitting = (None, *(_digest(hand_to_toml(one)) for one in (HPAC, hand)))
+    if made.get("hand_sha256") not in fitting:
+        remark = f"was made with another hand, and acts here with the model of '{hand.name}'"
         warnings.warn(f"{what} {remark}", stacklevel=3)
 
 

@@ -1,5 +1,6 @@
-"""A policy as an ONNX model, written and read."""
+"""A policy as an ONNX model, written and read, and the card beside it."""
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -8,13 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpac_gym.errors import PolicyError, install
-from hpac_gym.policies.card import MODEL, read_card
 from hpac_gym.policies.closure import Closures
 from hpac_gym.policies.increments import Increments
-from hpac_gym.policies.made_for import options_of, require_fit
+from hpac_gym.policies.made_for import require_fit
 from hpac_gym.policies.policy import LearnedPolicy
 from hpac_gym.policies.policy_file import PolicyFile, sizes_of
 
+MODEL = "model.onnx"
+CARD = "card.json"
+"""Files of an exported policy; the card tells its inputs, outputs and provenance."""
 OPSET = 17
 IR_VERSION = 8
 """ONNX versions, old enough for current and older runtimes."""
@@ -58,13 +61,12 @@ def onnx_model(policy: PolicyFile) -> Any:
         )
         if place + 1 < len(actor.layers):
             nodes.append(helper.make_node("Relu", [out], [f"value_{place + 1}"]))
-    nodes.append(
-        helper.make_node(
-            "Clip", [f"sum_{len(actor.layers) - 1}", "mean_low", "mean_high"], ["bounded"]
-        )
-    )
-    nodes.append(helper.make_node("Tanh", ["bounded"], ["exact_decision"]))
-    nodes.append(helper.make_node("Cast", ["exact_decision"], ["decision"], to=TensorProto.FLOAT))
+    last = f"sum_{len(actor.layers) - 1}"
+    nodes += [
+        helper.make_node("Clip", [last, "mean_low", "mean_high"], ["bounded"]),
+        helper.make_node("Tanh", ["bounded"], ["exact_decision"]),
+        helper.make_node("Cast", ["exact_decision"], ["decision"], to=TensorProto.FLOAT),
+    ]
     graph = helper.make_graph(
         nodes,
         "policy",
@@ -78,6 +80,20 @@ def onnx_model(policy: PolicyFile) -> Any:
     model.ir_version = IR_VERSION
     onnx.checker.check_model(model)
     return model
+
+
+def read_card(folder: Path) -> dict[str, Any]:
+    """The card of an exported policy.
+
+    Raises:
+        PolicyError: It is missing or damaged.
+    """
+    try:
+        told: dict[str, Any] = json.loads((folder / CARD).read_text(encoding="utf-8"))
+        str.rpartition(told["env_id"], ":")
+        return told
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise PolicyError(f"'{folder}' is not an exported policy: {error}") from None
 
 
 def read_onnx(folder: Path, env: gymnasium.Env[Any, Any]) -> LearnedPolicy:
@@ -101,7 +117,8 @@ def read_onnx(folder: Path, env: gymnasium.Env[Any, Any]) -> LearnedPolicy:
             (folder / MODEL).read_bytes(), options, providers=["CPUExecutionProvider"]
         )
         decision = told["decision"]
-        made = told | {"observation": [list(entry.values()) for entry in told["observation"]]}
+        entries = [list(entry.values()) for entry in told["observation"]]
+        described = told | {"made_for": told | {"observation": entries}}
         closures = None if decision["closure"] is None else Closures.of(decision["closure"])
         told_moves = decision.get("increments")
         moves = None if told_moves is None else Increments.of(told_moves)
@@ -111,9 +128,7 @@ def read_onnx(folder: Path, env: gymnasium.Env[Any, Any]) -> LearnedPolicy:
             raise ValueError(f"the inputs of its model are {', '.join(inputs)}, not observation")
         ends = session.get_inputs()[0].shape[1], session.get_outputs()[0].shape[1]
         sizes = sizes_of(ends, closures, moves)
-        require_fit(
-            f"exported policy '{folder}'", told["env_id"], made, sizes, env, options_of(told)
-        )
+        require_fit(f"exported policy '{folder}'", described, sizes, env)
     except PolicyError:
         raise
     except Exception as error:  # a damaged file can make its reader raise anything

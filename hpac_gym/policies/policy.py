@@ -91,13 +91,15 @@ class EpisodePolicy:
         deterministic: bool = True,
     ) -> tuple[NDArray[Any], tuple[Memory, ...]]:
         """As in `Policy`; the state is a tuple with the memory of each environment."""
-        parts = observation if isinstance(observation, Mapping) else {"": observation}
-        single = min(np.ndim(part) for part in parts.values()) == 1
-        rows = [observation]
-        if not single:
-            count = len(next(iter(parts.values())))
-            rows = [{name: part[row] for name, part in parts.items()} for row in range(count)]
-            rows = rows if isinstance(observation, Mapping) else [row[""] for row in rows]
+        named = isinstance(observation, Mapping)
+        parts = list(observation.values()) if named else [observation]
+        single = min(map(np.ndim, parts)) == 1
+        if single:
+            rows = [observation]
+        elif named:
+            rows = [dict(zip(observation, row, strict=True)) for row in zip(*parts, strict=True)]
+        else:
+            rows = list(observation)
         memories: Sequence[Memory] = [None] * len(rows) if state is None else state
         begins = np.zeros(len(rows)) if episode_start is None else np.reshape(episode_start, -1)
         memories = [

@@ -59,11 +59,6 @@ class SB3Policy:
         return np.asarray(action), state
 
 
-def is_model(path: Path) -> bool:
-    """Whether a file is a saved model, or another zip."""
-    return path.is_file() and zipfile.is_zipfile(path)
-
-
 def statistics_of(path: Path, normalize: str | None = None) -> Path | None:
     """The file of a model's `VecNormalize` statistics: the named one, or one beside it, or None.
 
@@ -113,11 +108,6 @@ def about_model(path: Path, normalize: str | None = None) -> dict[str, Any]:
 def _data(path: Path) -> dict[str, Any]:
     try:
         with zipfile.ZipFile(path) as archive:
-            if "policy.json" in archive.namelist():
-                raise PolicyError(
-                    f"'{path}' is a policy file of hpac_gym from before version 0.1.0, which reads .hpac "
-                    "files alone: train it again"
-                )
             data = json.loads(archive.read("data"))
             if not isinstance(data, dict):
                 raise TypeError("its data are no object")
@@ -126,8 +116,6 @@ def _data(path: Path) -> dict[str, Any]:
         raise PolicyError(
             f"'{path}' is neither a model of Stable-Baselines3 nor a policy file (.hpac)"
         ) from None
-    except PolicyError:
-        raise
     except Exception as error:  # a damaged file can make its reader raise anything
         raise PolicyError(f"model '{path}' is damaged: {error}") from None
 

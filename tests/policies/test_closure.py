@@ -110,11 +110,11 @@ def test_a_policy_of_closures_decides_once_an_episode():
 @pytest.mark.parametrize(
     ("ranges", "complaint"),
     [
-        ({"goal": [1.0, -1.0]}, r"closure range goal = \(1.0, -1.0\) must be two ordered numbers"),
+        ({"goal": [1.0, -1.0]}, r"closure range goal = \[1.0, -1.0\] must be two ordered numbers"),
         ({"goal": [0.0]}, "goal"),
         ({"goal": ["low", "high"]}, "invalid closure ranges"),
         ({"duration": [1.0, float("nan")]}, "duration"),
-        ({"speed": [0.0, 1.0]}, "a closure has no speed"),
+        ({"speed": [0.0, 1.0]}, "unexpected keyword argument .speed."),
         ({"begin": [0.0, 1.0]}, "both begin"),
     ],
 )

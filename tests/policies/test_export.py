@@ -215,7 +215,7 @@ def test_a_damaged_export_ends_in_one_line(folder, env, name):
             "control_steps is 0, and must be at least 1",
         ),
         ({"decision": {"control_steps": "x", "closure": None}}, "is not an exported policy"),
-        ({"observation": [{"name": "servo"}]}, "is not an exported policy"),
+        ({"observation": [{"name": "servo"}]}, "is damaged: made_for is not readable"),
     ],
 )
 def test_a_card_that_cannot_be_followed_ends_in_one_line(folder, env, change, line):

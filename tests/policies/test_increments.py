@@ -36,8 +36,6 @@ def test_a_decision_moves_the_hand_from_where_it_is_by_its_square_within_the_ran
     assert actions_of(back, [np.zeros(1)] * 3)[:, 5] == pytest.approx([0.4, 0.3, 0.2])
     assert (actions_of(back, [np.zeros(1)] * 3)[:, 0] == -1.0).all()
     wanted = np.array([[0.03, -0.02, 0.0, 0.1, -0.1, 0.05]])
-    middle = MOVES.begin(np.zeros((1, 1)))
-    middle = middle.replaced(np.array([False]), middle)
     decided = MOVES.decisions(wanted)
     assert decided * np.abs(decided) * 0.1 == pytest.approx(wanted)
 

@@ -3,7 +3,6 @@ import io
 import json
 import re
 import tarfile
-import zipfile
 from itertools import pairwise
 from pathlib import Path
 
@@ -143,14 +142,6 @@ def test_a_name_that_looks_like_another_kind_of_file_is_not_written(policy, tmp_
     assert not list(tmp_path.iterdir())
 
 
-def test_a_file_from_before_the_first_release_is_refused_in_one_line(path):
-    former = path.with_suffix(".zip")
-    with zipfile.ZipFile(former, "w") as archive:
-        archive.writestr("policy.json", "{}")
-    with pytest.raises(PolicyError, match=r"policy file of hpac_gym from before version 0\.1\.0"):
-        load_policy(str(former), gymnasium.make(TINY))
-
-
 def test_stable_baselines3_says_that_a_policy_file_is_none_of_its_own(path):
     from stable_baselines3 import PPO
 
@@ -186,7 +177,7 @@ def test_no_pickle_is_loaded_from_a_policy_file_nor_named_anywhere(path, tmp_pat
     np.savez(packed, observation_mean=np.array([Trap(tmp_path / "sprung")], dtype=object))
     sha256 = hashlib.sha256(packed.getvalue()).hexdigest()
     rewrite(path, actor=lambda data: packed.getvalue(), policy=edit(sha256=sha256))
-    with pytest.raises(PolicyError, match="is not a policy file: Object arrays cannot be loaded"):
+    with pytest.raises(PolicyError, match=r"is damaged .*: Object arrays cannot be loaded"):
         read_policy(path)
     assert not (tmp_path / "sprung").exists()
     packed.seek(0)
