@@ -52,6 +52,13 @@ class Bad(VirtualTransport):
                 self.back.append((self.now() + self.armed * self.latency, data))
 
 
+@pytest.fixture
+def stream(link):
+    """A stream to `virtual_hand`, which is armed."""
+    link.arm(watchdog=2.0)
+    return link.stream()
+
+
 def targets(count, seed=1):
     """Targets to which the whole range is run through again and again."""
     rng = np.random.default_rng(seed)
@@ -119,41 +126,32 @@ def test_without_a_margin_early_commands_are_refused():
 
 
 @pytest.mark.parametrize("believes", [False, True])
-def test_a_stream_that_continues_from_what_it_sent_is_refused_after_a_loss(virtual_hand, believes):
+def test_a_stream_that_continues_from_what_it_sent_is_refused_after_a_loss(link, stream, believes):
     """The control: the hand refuses what is further than its rate allows."""
-    with HandLink(virtual_hand.connect) as link:
-        link.arm(watchdog=1.0)
-        stream = link.stream()
-        write = link.exchange.transport.write
-        for count in range(14):
-            gone = 2 <= count < 7
-            link.exchange.transport.write = (lambda data: None) if gone else write
-            stream.send(HPAC.servo_max)
-            if gone and believes:  # that they arrived
-                stream._ramps = {0: list(stream._ramps.values())[-1]}
+    write = link.exchange.transport.write
+    for count in range(14):
+        gone = 2 <= count < 7
+        link.exchange.transport.write = (lambda data: None) if gone else write
+        stream.send(HPAC.servo_max)
+        if gone and believes:  # that they arrived
+            stream._ramps = {0: list(stream._ramps.values())[-1]}
     assert (stream.counts.refused > 0) == believes
 
 
 @pytest.mark.parametrize("lost", [0, 2])
-def test_a_lost_command_costs_no_way(virtual_hand, lost):
+def test_a_lost_command_costs_no_way(virtual_hand, link, stream, lost):
     """A third one does: the hand stops at the end of its move."""
-    with HandLink(virtual_hand.connect) as link:
-        link.arm()
-        stream = link.stream()
-        write = link.exchange.transport.write
-        for count in range(8):
-            link.exchange.transport.write = (lambda data: None) if 3 <= count < 3 + lost else write
-            stream.send(HPAC.servo_max)
-        link.listen(stream.period, "end")
-        way = servo_from_pulses(virtual_hand.pulses()).max()
+    write = link.exchange.transport.write
+    for count in range(8):
+        link.exchange.transport.write = (lambda data: None) if 3 <= count < 3 + lost else write
+        stream.send(HPAC.servo_max)
+    link.listen(stream.period, "end")
+    way = servo_from_pulses(virtual_hand.pulses()).max()
     assert way == pytest.approx(0.97 * 2.0 * 8 * stream.period, rel=0.01)
 
 
-def test_a_target_is_approached_at_the_rate_that_is_left(virtual_hand):
-    with HandLink(virtual_hand.connect) as link:
-        link.arm()
-        stream = link.stream()
-        steps = [stream.send(HPAC.servo_max) for _ in range(3)]
+def test_a_target_is_approached_at_the_rate_that_is_left(stream):
+    steps = [stream.send(HPAC.servo_max) for _ in range(3)]
     fastest = 2.0 * 0.05
     ways = np.diff(steps, axis=0).max(axis=1)
     assert (0.95 * fastest < ways).all()
@@ -161,39 +159,30 @@ def test_a_target_is_approached_at_the_rate_that_is_left(virtual_hand):
     assert stream.counts.limited == 3
 
 
-def test_all_servos_arrive_together_as_in_every_move(virtual_hand):
+def test_all_servos_arrive_together_as_in_every_move(stream):
     target = np.array([0.1, 1.0, 0.5, 0.0, 0.2, 0.9])
-    with HandLink(virtual_hand.connect) as link:
-        link.arm()
-        stream = link.stream()
-        way = np.array([stream.send(target) for _ in range(14)])
+    way = np.array([stream.send(target) for _ in range(14)])
     np.testing.assert_allclose(way / target.max(), np.outer(way[:, 1], target), atol=2e-4)
     np.testing.assert_allclose(way[-1], target, atol=1e-4)
 
 
-def test_a_busy_program_skips_periods_and_sends_no_burst(virtual_hand):
-    with HandLink(virtual_hand.connect) as link:
-        link.arm()
-        stream = link.stream()
+def test_a_busy_program_skips_periods_and_sends_no_burst(link, stream):
+    stream.send(HPAC.servo_max)
+    link.sleep(0.23)
+    for _ in range(4):
         stream.send(HPAC.servo_max)
-        link.sleep(0.23)
-        for _ in range(4):
-            stream.send(HPAC.servo_max)
     assert (stream.counts.skipped, stream.counts.late, stream.counts.refused) == (3, 1, 0)
 
 
-def test_a_hot_hand_slows_down_and_goes_on(virtual_hand):
-    with HandLink(virtual_hand.connect) as link:
-        link.arm()
-        stream = link.stream()
-        speeds = []
-        servo = np.zeros(6)
-        for i in range(12_000):  # ten minutes
-            before = servo
-            servo = stream.send(HPAC.servo_max if i // 40 % 3 else HPAC.servo_min)
-            speeds.append(np.abs(servo - before).max() / stream.period)
-        assert link.state == "armed"
-        assert link.last_status.rate_share < 1.0
+def test_a_hot_hand_slows_down_and_goes_on(link, stream):
+    speeds = []
+    servo = np.zeros(6)
+    for i in range(12_000):  # ten minutes
+        before = servo
+        servo = stream.send(HPAC.servo_max if i // 40 % 3 else HPAC.servo_min)
+        speeds.append(np.abs(servo - before).max() / stream.period)
+    assert link.state == "armed"
+    assert link.last_status.rate_share < 1.0
     assert np.median(speeds[42:50]) == pytest.approx(1.94, abs=0.02)
     assert max(speeds[-400:]) < 1.8
     assert (stream.counts.refused, stream.counts.lost) == (0, 0)
@@ -207,21 +196,14 @@ def test_a_hot_hand_slows_down_and_goes_on(virtual_hand):
     ],
     ids=["estop", "taken over"],
 )
-def test_another_program_ends_it(virtual_hand, frame, error, says):
-    with HandLink(virtual_hand.connect) as link:
-        link.arm()
-        stream = link.stream()
-        stream.send(HPAC.servo_max)
-        link.exchange.transport.write(encode(frame))
-        with pytest.raises(error, match=says):
-            close(stream, 3)
+def test_another_program_ends_it(link, stream, frame, error, says):
+    stream.send(HPAC.servo_max)
+    link.exchange.transport.write(encode(frame))
+    with pytest.raises(error, match=says):
+        close(stream, 3)
 
 
-def test_a_deaf_hand_ends_it_after_a_second(virtual_hand):
-    link = HandLink(virtual_hand.connect)
-    link.connect()
-    link.arm(watchdog=2.0)
-    stream = link.stream()
+def test_a_deaf_hand_ends_it_after_a_second(link, stream):
     link.exchange.transport.write = lambda data: None
     with pytest.raises(LinkTimeout, match="no answer to a streamed move for 1 s"):
         close(stream, 40)
@@ -230,28 +212,22 @@ def test_a_deaf_hand_ends_it_after_a_second(virtual_hand):
     assert 15 < stream.counts.sent < 25
 
 
-def test_wrong_values_are_refused_before_anything_is_sent(virtual_hand):
-    with HandLink(virtual_hand.connect) as link:
-        link.arm()
-        stream = link.stream()
-        for wrong in (np.full(6, np.nan), np.zeros(5)):
-            with pytest.raises(ShapeError, match="target"):
-                stream.send(wrong)
-        for wrong in ({"period": 0.01}, {"early": -0.001}, {"early": 0.06}, {"early": np.nan}):
-            with pytest.raises(FrameError, match="allowed"):
-                link.stream(**wrong)
-        assert stream.counts.sent == 0
+def test_wrong_values_are_refused_before_anything_is_sent(link, stream):
+    for wrong in (np.full(6, np.nan), np.zeros(5)):
+        with pytest.raises(ShapeError, match="target"):
+            stream.send(wrong)
+    for wrong in ({"period": 0.01}, {"early": -0.001}, {"early": 0.06}, {"early": np.nan}):
+        with pytest.raises(FrameError, match="allowed"):
+            link.stream(**wrong)
+    assert stream.counts.sent == 0
 
 
-def test_moves_are_answered_again_after_a_stream(virtual_hand):
-    with HandLink(virtual_hand.connect) as link:
-        link.arm()
-        stream = link.stream()
-        stream.send(np.full(6, 0.05))
-        link.sleep(0.1)
-        stream.close()
-        with pytest.raises(RejectedError, match="rad"):
-            link.move(ServoCommand(HPAC.servo_max, 0.05))
+def test_moves_are_answered_again_after_a_stream(link, stream):
+    stream.send(np.full(6, 0.05))
+    link.sleep(0.1)
+    stream.close()
+    with pytest.raises(RejectedError, match="rad"):
+        link.move(ServoCommand(HPAC.servo_max, 0.05))
 
 
 def test_a_last_command_that_is_refused_late_is_the_stream_s_alone():
@@ -268,18 +244,15 @@ def test_a_last_command_that_is_refused_late_is_the_stream_s_alone():
     assert stream.counts.refused == 1
 
 
-def test_a_hand_that_may_be_at_many_places_is_led_away_from_no_target(virtual_hand):
+def test_a_hand_that_may_be_at_many_places_is_led_away_from_no_target(virtual_hand, link, stream):
     """They may be further apart than a move leads, once a hot hand is slower."""
-    with HandLink(virtual_hand.connect) as link:
-        link.arm(watchdog=1.0)
-        stream = link.stream()
-        write = link.exchange.transport.write
-        close(stream, 2)
-        link.exchange.transport.write = lambda data: None
-        close(stream, 5)
-        stream._share = 0.05
-        stream.send(np.where(np.arange(6) == 1, HPAC.servo_min, HPAC.servo_max))
-        leads_to = list(stream._ramps.values())[-1].to
-        link.exchange.transport.write = write
-        pose = servo_from_pulses(virtual_hand.pulses())
+    write = link.exchange.transport.write
+    close(stream, 2)
+    link.exchange.transport.write = lambda data: None
+    close(stream, 5)
+    stream._share = 0.05
+    stream.send(np.where(np.arange(6) == 1, HPAC.servo_min, HPAC.servo_max))
+    leads_to = list(stream._ramps.values())[-1].to
+    link.exchange.transport.write = write
+    pose = servo_from_pulses(virtual_hand.pulses())
     assert (np.delete(leads_to - pose, 1) > -0.02).all()
