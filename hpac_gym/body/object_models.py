@@ -9,7 +9,7 @@ import itertools
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from types import MappingProxyType
 from typing import Any
 
@@ -33,7 +33,7 @@ SOURCE_FIELDS = {"source", "published", "chosen"}
 """Fields of a real object that tell where its numbers are from; tests compare them with the model."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class ObjectModel:
     """One object: dimensions of the real object, and the solids that approximate it. Compared by
     identity.
@@ -96,12 +96,12 @@ class ObjectModel:
         x, y, z = (side / 2 for side in self.size)
         return x, y, z
 
-    @property
+    @cached_property
     def center_of_mass(self) -> Array:
         """Centre of mass in the object's frame, shape (3,) [m]."""
         return sum(solid.mass * solid.center for solid in self.solids) / self.mass
 
-    @property
+    @cached_property
     def inertia(self) -> Array:
         """Inertia about the centre of mass, in the object's axes, shape (3, 3) [kg·m²]."""
         total = np.zeros((3, 3))

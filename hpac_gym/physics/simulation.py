@@ -117,8 +117,10 @@ def make_engine(
         visuals: load visual shapes.
 
     Raises:
-        ParameterError: Unknown engine, or its package is not installed.
+        ParameterError: Unknown engine, its package is not installed, or fewer than one world.
     """
+    if num_worlds < 1:
+        raise ParameterError(f"{num_worlds} worlds: at least 1 is needed")
     if name not in ENGINES:
         raise ParameterError(f"engine {name!r} is not one of {', '.join(ENGINES)}")
     if not is_installed(name):

@@ -40,7 +40,6 @@ class Camera:
             raise PhysicsError(
                 f"no OpenGL for pictures ({reason}): install mujoco-core[rendering] and, on Debian, libegl1 and libgl1-mesa-dri"
             ) from None
-        self._size = 0, 0
         self.close = weakref.finalize(self, _free, self._context, self._renderer)
 
     def picture(
@@ -69,10 +68,8 @@ class Camera:
         pixels = np.empty((view.height, view.width, 3), np.uint8)
         rectangle = mujoco.MjrRect(0, 0, view.width, view.height)
         with self._context.as_current():
-            if (view.width, view.height) != self._size:
-                mujoco.mjr_resizeOffscreen(view.width, view.height, self._renderer)
-                mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._renderer)
-                self._size = view.width, view.height
+            mujoco.mjr_resizeOffscreen(view.width, view.height, self._renderer)
+            mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._renderer)
             mujoco.mjr_render(rectangle, scene, self._renderer)
             mujoco.mjr_readPixels(pixels, None, rectangle, self._renderer)
         return pixels[::-1].copy()

@@ -29,47 +29,36 @@ from hpac_gym.physics.settings import HandSettings, WorldSettings
 
 
 class MuJoCoEngine(Engine):
-    """`hpac_gym.physics.engine.Engine` on MuJoCo. Threads share the worlds of a layout; their
-    number does not affect results.
+    """`hpac_gym.physics.engine.Engine` on MuJoCo. Threads, one per processor but no more than
+    worlds, share the worlds of a layout; their number does not affect results.
 
     Args:
         num_worlds: n.
         settings: settings of every world.
         visuals: include visual-only geoms; without them a step is slightly faster and the physics
             identical.
-        threads: number of threads; None is one per processor, but no more than worlds.
 
     Raises:
-        ParameterError: Fewer than one world or thread, or iterations for Bullet's iterative solver.
+        ParameterError: Iterations for Bullet's iterative solver.
     """
 
     def __init__(
-        self,
-        num_worlds: int = 1,
-        settings: WorldSettings = WorldSettings(),
-        visuals: bool = False,
-        threads: int | None = None,
+        self, num_worlds: int = 1, settings: WorldSettings = WorldSettings(), visuals: bool = False
     ) -> None:
         if settings.solver_iterations:
             raise ParameterError(
                 f"solver_iterations = {settings.solver_iterations} must be 0 in MuJoCo: they are Bullet's"
             )
-        if threads is None:
-            available = (
-                len(os.sched_getaffinity(0))
-                if hasattr(os, "sched_getaffinity")
-                else os.cpu_count() or 1
-            )
-            threads = max(min(num_worlds, available), 1)
-        if not (num_worlds >= 1 and threads >= 1):
-            raise ParameterError(
-                f"{num_worlds} worlds on {threads} threads: both must be at least 1"
-            )
+        available = (
+            len(os.sched_getaffinity(0))
+            if hasattr(os, "sched_getaffinity")
+            else os.cpu_count() or 1
+        )
         self.num_worlds = num_worlds
         self.dt = settings.dt
         self.every_step = False
         self._force_steps = np.zeros((num_worlds, 0))
-        self._options = num_worlds, settings, threads, visuals
+        self._options = num_worlds, settings, min(num_worlds, available), visuals
         self._camera: Camera | None = None
         self._groups: dict[Layout, Group] = {}
         self._group_of: list[Group | None] = [None] * num_worlds
@@ -93,26 +82,21 @@ class MuJoCoEngine(Engine):
         """
         for setup in setups:
             self.require(setup.hand_settings)
-        jobs: dict[Group, list[int]] = {}
-        moved = False
+        started: dict[Group, list[int]] = {}
         for world, setup in sorted(zip(worlds, setups, strict=True), key=itemgetter(0)):
             layout = Layout.of(setup)
             if layout not in self._groups:
                 self._groups[layout] = Group(layout, *self._options)
-            group = self._groups[layout]
-            jobs.setdefault(group, []).append(world)
-            moved |= self._group_of[world] is not group
-            self._group_of[world] = group
+            self._group_of[world] = self._groups[layout]
             self._setups[world] = setup
-        for group, entries in jobs.items():
-            index = np.array(entries)
-            group.start(index, [self._setups[world] for world in entries])
-            self._steps[index] = 0
-        if moved:
-            self._rows = {}
-            for group in dict.fromkeys(filter(None, self._group_of)):
-                rows = np.flatnonzero([owner is group for owner in self._group_of])
-                self._rows[group] = slice(None) if len(rows) == self.num_worlds else rows
+            self._steps[world] = 0
+            started.setdefault(self._groups[layout], []).append(world)
+        for group, entries in started.items():
+            group.start(entries, [self._setups[world] for world in entries])
+        self._rows = {}
+        for group in dict.fromkeys(filter(None, self._group_of)):
+            rows = np.flatnonzero([owner is group for owner in self._group_of])
+            self._rows[group] = slice(None) if len(rows) == self.num_worlds else rows
 
     def advance(
         self, servo: Array, servo_vel: Array, wrist: Array, push: Array | None = None
@@ -128,7 +112,7 @@ class MuJoCoEngine(Engine):
             reasons = group.advance(rows, servo, servo_vel, wrist, push, self._force_steps)
             self._steps[rows] += servo.shape[1]
             if worlds := sorted(reasons):
-                group.start(np.array(worlds), [self._setups[world] for world in worlds])
+                group.start(worlds, [self._setups[world] for world in worlds])
                 self._force_steps[worlds] = 0.0
                 failed |= reasons
         if failed:

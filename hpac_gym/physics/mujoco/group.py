@@ -62,7 +62,7 @@ class Group:
         """Model and data for one of the worlds at a time: making them takes longer than filling them."""
         return self.batch.get_model(0), self.batch.get_data(0)
 
-    def start(self, worlds: NDArray[np.intp], setups: Sequence[SceneSetup]) -> None:
+    def start(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
         """Reset worlds, given in ascending order, to the start of their setups."""
         self.batch.state[worlds] = self._blank
         self.batch.warning[worlds] = 0

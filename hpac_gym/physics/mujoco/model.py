@@ -6,6 +6,7 @@ copies for every world."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
@@ -16,7 +17,7 @@ import numpy as np
 
 from hpac_gym.body.geometry import HPAC_GEOMETRY, Geometry
 from hpac_gym.body.object_models import ObjectModel
-from hpac_gym.body.objects import Support
+from hpac_gym.body.solids import Solid
 from hpac_gym.model import DIGITS, JOINTS
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import HAND_POSITION, PARTS, SceneSetup
@@ -63,15 +64,10 @@ class Layout:
         if spec.model is not None and not is_straight(spec.model):
             kind = spec.model if spec.model.has_hulls else "solids"
         number = 1 if spec.model is None else len(spec.model.solids)
-        boxes = 0 if setup.fixed else _number_of_boxes(setup.support)
-        return cls(
-            armature, kind, number, setup.fixed, boxes, setup.target is not None and not setup.fixed
-        )
-
-
-@lru_cache(maxsize=64)
-def _number_of_boxes(support: Support | None) -> int:
-    return len((support or POST).boxes(1.0))
+        if setup.fixed:
+            return cls(armature, kind, number, fixed=True)
+        boxes = len((setup.support or POST).boxes(1.0))
+        return cls(armature, kind, number, boxes=boxes, target=setup.target is not None)
 
 
 @cache
@@ -161,25 +157,44 @@ def _add_object(root: Xml.Element, world: Xml.Element, layout: Layout) -> None:
     if layout.object != "primitive":
         item.set("simple", "false")  # worlds set their own inertia axes
     Xml.SubElement(item, "inertial", pos="0 0 0", mass="0.1", diaginertia="1e-4 1e-4 1e-4")
-    solids = (
-        layout.object.solids if isinstance(layout.object, ObjectModel) else (None,) * layout.solids
-    )
-    for index, solid in enumerate(solids):
-        geom = Xml.SubElement(item, "geom", {"class": "body"}, name=f"object_{index}", priority="1")
-        if solid is None or solid.hull is None:
-            geom.attrib |= {"type": "box", "size": "0.03 0.03 0.03"}
+    for index in range(layout.solids):
+        geom = {"class": "body", "name": f"object_{index}", "priority": "1"}
+        if isinstance(layout.object, ObjectModel):
+            add_solid(root, item, index, layout.object.solids[index], geom)
         else:
-            Xml.SubElement(
-                root.find("asset"),
-                "mesh",
-                name=f"hull_{index}",
-                vertex=exact_text(solid.hull.vertices.ravel()),
-            )
-            place = {
-                "pos": exact_text(solid.center),
-                "quat": exact_text(quaternion_from_matrix(solid.rotation)),
-            }
-            geom.attrib |= {"type": "mesh", "mesh": f"hull_{index}", **place}
+            Xml.SubElement(item, "geom", geom, type="box", size="0.03 0.03 0.03")
+
+
+def add_solid(
+    root: Xml.Element, body: Xml.Element, index: int, solid: Solid, geom: dict[str, str]
+) -> None:
+    """Add a solid of an object to a body as a geom with more attributes; the corners of a hull
+    become a mesh of the model.
+    """
+    turn = exact_text(quaternion_from_matrix(solid.rotation))
+    geom = geom | {"pos": exact_text(solid.center), "quat": turn}
+    if solid.hull is None:
+        size, _ = size_of(solid.kind, *np.divide(solid.size, 2).tolist())
+        geom |= {"type": solid.kind, "size": exact_text(size)}
+    else:
+        corners = exact_text(solid.hull.vertices.ravel())
+        Xml.SubElement(root.find("asset"), "mesh", name=f"hull_{index}", vertex=corners)
+        geom |= {"type": "mesh", "mesh": f"hull_{index}"}
+    Xml.SubElement(body, "geom", geom)
+
+
+def size_of(kind: str, x: float, y: float, z: float) -> tuple[tuple[float, float, float], float]:
+    """MuJoCo's size of a solid with these half-extents (radius and half length of round ones), and
+    its bounding radius [m].
+    """
+    match kind:
+        case "box":
+            return (x, y, z), math.hypot(x, y, z)
+        case "sphere":
+            return (x, 0.0, 0.0), x
+        case "cylinder":
+            return (x, z, 0.0), math.hypot(x, z)
+    return (x, z - x, 0.0), z
 
 
 def _add_supports(world: Xml.Element, layout: Layout) -> None:
@@ -250,38 +265,24 @@ class Addresses:
 
     def __init__(self, model: mujoco.MjModel) -> None:
         bodies = [model.body(index).name for index in range(model.nbody)]
-        joints = [model.joint(index).name for index in range(model.njnt)]
-        geoms = [model.geom(index).name for index in range(model.ngeom)]
-
-        def found(names: list[str], *beginnings: str) -> np.ndarray:
-            rows = [
-                index
-                for beginning in beginnings
-                for index, name in enumerate(names)
-                if name.startswith(beginning)
-            ]
-            return np.array(rows, dtype=int)
-
-        self.hinge = np.array([joints.index(name) for name in JOINTS])
+        self.hinge = np.array([model.joint(name).id for name in JOINTS])
         self.joint = model.jnt_qposadr[self.hinge]
         self.dof = model.jnt_dofadr[self.hinge]
-        movable = found(joints, "object")
-        self.object = int(model.jnt_qposadr[movable[0]]) if len(movable) else -1
+        slides = model.jnt_qposadr[model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE.value]
+        free = model.jnt_type == mujoco.mjtJoint.mjJNT_FREE.value
+        place = [model.jnt_qposadr[free] + index for index in range(7)]
+        self.object = int(place[0][0]) if free.any() else -1
         self.object_body = bodies.index("object") if "object" in bodies else -1
-        slides = model.jnt_qposadr[found(joints, "wrist")]
-        self.pose = np.hstack(
-            [self.joint, slides, *(model.jnt_qposadr[movable] + index for index in range(7))]
-        )
-        self.motion = np.hstack(
-            [self.dof, *(model.jnt_dofadr[movable] + index for index in range(6))]
-        )
+        self.pose = np.hstack([self.joint, slides, *place])
+        self.motion = np.hstack([self.dof, *(model.jnt_dofadr[free] + index for index in range(6))])
         self.palm = bodies.index("palm")
         self.hand = np.array(
             [index for index, name in enumerate(bodies) if name == "palm" or name.endswith("_link")]
         )
         self.hand_geoms = np.flatnonzero(np.isin(model.geom_bodyid, self.hand))
-        self.object_geoms = found(geoms, "object_")
-        self.boxes = found(geoms, "support_", "table", "target")
+        self.object_geoms = np.flatnonzero(model.geom_bodyid == self.object_body)
+        standing = [index for index, name in enumerate(bodies) if name in ("support", "target")]
+        self.boxes = np.flatnonzero(np.isin(model.geom_bodyid, standing))
         self.guides = np.array(
             [
                 [model.site(f"{digit}_{end}_guide").id for end in ("fixed", "moving")]

@@ -3,7 +3,7 @@ written from their setups.
 """
 
 import math
-from functools import cache, lru_cache
+from functools import lru_cache
 from typing import Any
 
 import mujoco
@@ -25,6 +25,7 @@ from hpac_gym.physics.mujoco.model import (
     build,
     is_straight,
     quaternion_from_matrix,
+    size_of,
 )
 from hpac_gym.physics.settings import HandSettings, WorldSettings
 from hpac_gym.physics.supports import SUPPORT_FRICTION, support_boxes
@@ -138,7 +139,11 @@ class Parameters:
         fields = self.fields
         at = self._at
         spec = setup.object
-        index, values = _geoms_of(spec)
+        index, values = (
+            _geoms_of(spec.model, spec.scale)
+            if spec.model
+            else (_ALONE, _geom_fields(spec.shape, *spec.half_extents))
+        )
         rows = at.object_geoms[index]
         for name, value in values.items():
             fields[name][world, rows] = value
@@ -191,17 +196,11 @@ def _inertia_of_hand(geometry: Geometry, armature: tuple[float, float, float]) -
     return mass_matrix(geometry, armature, HPAC.synergy_max / 2)
 
 
-def _geoms_of(spec: ObjectSpec) -> tuple[NDArray[np.intp], dict[str, Any]]:
+@lru_cache(maxsize=1024)
+def _geoms_of(model: ObjectModel, scale: float) -> tuple[NDArray[np.intp], dict[str, Any]]:
     """Indices of the k primitive solids among an object's, and their values of MuJoCo's geom
     fields; hulls are compiled.
     """
-    if spec.model is not None:
-        return _geoms_of_model(spec.model, spec.scale)
-    return _ALONE, _geom_fields(spec.shape, *spec.half_extents)
-
-
-@lru_cache(maxsize=1024)
-def _geoms_of_model(model: ObjectModel, scale: float) -> tuple[NDArray[np.intp], dict[str, Any]]:
     index = [index for index, solid in enumerate(model.solids) if solid.hull is None]
     rows = []
     for solid in (model.solids[i] for i in index):
@@ -232,26 +231,6 @@ def _geom_fields(
     }
 
 
-def size_of(kind: str, x: float, y: float, z: float) -> tuple[tuple[float, float, float], float]:
-    """MuJoCo's size of a solid with these half-extents (radius and half length of round ones), and
-    its bounding radius [m].
-    """
-    match kind:
-        case "box":
-            return (x, y, z), math.hypot(x, y, z)
-        case "sphere":
-            return (x, 0.0, 0.0), x
-        case "cylinder":
-            return (x, z, 0.0), math.hypot(x, z)
-    return (x, z - x, 0.0), z
-
-
-@cache
-def _mass_of(model: ObjectModel) -> tuple[Array, Array]:
-    """Centre of mass, shape (3,) [m], and inertia about it, shape (3, 3) [kg·m²]."""
-    return model.center_of_mass, model.inertia
-
-
 @lru_cache(maxsize=64)
 def _inertia_of(spec: ObjectSpec) -> tuple[Array, Array, Array]:
     """Centre of mass, shape (3,) [m], principal moments about it, shape (3,) [kg·m²], and their
@@ -260,10 +239,10 @@ def _inertia_of(spec: ObjectSpec) -> tuple[Array, Array, Array]:
     if spec.model is None:
         x, y, z = (2 * half for half in spec.half_extents)
         return _ORIGIN, np.array(principal_inertia(spec.shape, spec.mass, (x, y, z))), _STRAIGHT
-    centre, inertia = _mass_of(spec.model)
-    inertia = inertia * (spec.mass / spec.model.mass * spec.scale**2)
+    centre = spec.scale * spec.model.center_of_mass
+    inertia = spec.model.inertia * (spec.mass / spec.model.mass * spec.scale**2)
     if is_straight(spec.model):
-        return spec.scale * centre, np.diag(inertia), _STRAIGHT
+        return centre, np.diag(inertia), _STRAIGHT
     moments, axes = np.linalg.eigh(inertia)
     axes[:, 0] *= np.sign(np.linalg.det(axes))
-    return spec.scale * centre, moments, quaternion_from_matrix(axes)
+    return centre, moments, quaternion_from_matrix(axes)

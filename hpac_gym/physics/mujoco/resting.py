@@ -21,8 +21,7 @@ from hpac_gym.body.object_models import ObjectModel
 from hpac_gym.errors import ParameterError
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.mjcf import CONTACT, INERTIA_ENTRIES
-from hpac_gym.physics.mujoco.model import exact_text, quaternion_from_matrix
-from hpac_gym.physics.mujoco.parameters import size_of
+from hpac_gym.physics.mujoco.model import add_solid, exact_text, quaternion_from_matrix
 from hpac_gym.physics.supports import POST, SUPPORT_FRICTION
 
 DROPS = 40
@@ -95,20 +94,9 @@ class Table:
             mass=repr(model.mass),
             fullinertia=exact_text(model.inertia[INERTIA_ENTRIES]),
         )
-        assets = Xml.SubElement(root, "asset")
+        Xml.SubElement(root, "asset")
         for index, solid in enumerate(model.solids):
-            shape = {
-                "pos": exact_text(solid.center),
-                "quat": exact_text(quaternion_from_matrix(solid.rotation)),
-            }
-            if solid.hull is None:
-                size, _ = size_of(solid.kind, *np.divide(solid.size, 2).tolist())
-                shape |= {"type": solid.kind, "size": exact_text(size)}
-            else:
-                corners = exact_text(solid.hull.vertices.ravel())
-                Xml.SubElement(assets, "mesh", name=f"hull_{index}", vertex=corners)
-                shape |= {"type": "mesh", "mesh": f"hull_{index}"}
-            Xml.SubElement(body, "geom", shape)
+            add_solid(root, body, index, solid, {})
         self.object = model
         self.model = mujoco.MjModel.from_xml_string(Xml.tostring(root, encoding="unicode"))
         self.data = mujoco.MjData(self.model)

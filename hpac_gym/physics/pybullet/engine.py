@@ -37,7 +37,7 @@ class PyBulletEngine(Engine):
             picture shows boxes.
 
     Raises:
-        ParameterError: Fewer than one world, or torsional friction with the direct solver.
+        ParameterError: Torsional friction with the direct solver.
 
     Attributes:
         scenes: one PyBullet world each, for tests.
@@ -46,8 +46,6 @@ class PyBulletEngine(Engine):
     def __init__(
         self, num_worlds: int = 1, settings: WorldSettings = WorldSettings(), visuals: bool = False
     ) -> None:
-        if num_worlds < 1:
-            raise ParameterError(f"{num_worlds} worlds: at least 1 is needed")
         if settings.torsion and not settings.solver_iterations:
             raise ParameterError(
                 f"torsion = {settings.torsion} m needs Bullet's iterative solver: solver_iterations ≥ 1"
