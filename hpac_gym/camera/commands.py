@@ -2,13 +2,14 @@
 
 import argparse
 import sys
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from hpac_gym.camera import CameraError, opencv
-from hpac_gym.camera.detection import HD, Device, Lens, Seen, detect, load_lens
+from hpac_gym.camera.detection import Device, Lens, Seen, detect, load_lens
 from hpac_gym.camera.sheet import RULER, TAGS, draw
 from hpac_gym.command import add_json, say
 from hpac_gym.output import write_text
@@ -52,11 +53,8 @@ def run(options: argparse.Namespace) -> int:
         return 0
     out = options.out or Path("camera.json")
     before = load_lens(out) if out.exists() else Lens()
-    frames = Device(options.calibrate, HD)
-    try:
+    with closing(Device(options.calibrate)) as frames:
         lens, error = calibrated(frames)
-    finally:
-        frames.release()
     lens = replace(lens, hand_board=before.hand_board, object_board=before.object_board)
     write_text(out, lens.to_json())
     said = f"focal lengths {lens.focal[0]:.1f} and {lens.focal[1]:.1f} pixels, error {error:.2f} pixels; written: {out}"
@@ -71,11 +69,9 @@ def calibrated(frames: Device) -> tuple[Lens, float]:
         CameraError: There are no such pictures, or they do not fit one camera and a flat sheet.
     """
     views: list[Seen] = []
-    size = HD
     for _ in range(MOST_PICTURES):
         if (picture := frames.read()) is None:
             break
-        size = picture.shape[1::-1]
         seen = detect(picture)
         if len(seen) >= LEAST_TAGS and all(_moved(seen, view) > LEAST_MOVED for view in views):
             views.append(seen)
@@ -92,6 +88,7 @@ def calibrated(frames: Device) -> tuple[Lens, float]:
         for view in views
     ]
     cv2 = opencv()
+    size = picture.shape[1::-1]
     error, matrix, distortion, _, _ = cv2.calibrateCamera(
         [corners.astype(np.float32) for corners in sheet],
         [np.concatenate(list(view.values())).astype(np.float32) for view in views],

@@ -264,7 +264,7 @@ class Device:
                 return picture
         return None
 
-    def release(self) -> None:
+    def close(self) -> None:
         """Let the camera go."""
         self._video.release()
 
@@ -275,49 +275,42 @@ class Watch(Generic[_Result]):
     Args:
         frames: the camera.
         look: what is made of a picture; a `CameraError` that it raises is kept as `fault`.
-        clock: the time [s].
 
     Attributes:
         fault: why the last picture had no result; empty if it had one.
     """
 
-    def __init__(
-        self,
-        frames: Device,
-        look: Callable[[np.ndarray], _Result],
-        clock: Callable[[], float] = monotonic,
-    ) -> None:
+    def __init__(self, frames: Device, look: Callable[[np.ndarray], _Result]) -> None:
         self.fault = ""
-        self._frames = frames
-        self._look = look
-        self._clock = clock
         self._latest: tuple[_Result, float] | None = None
         self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="hpac camera", daemon=True)
+        self._thread = threading.Thread(
+            target=self._run, args=(frames, look), name="hpac camera", daemon=True
+        )
         self._thread.start()
 
-    def _run(self) -> None:
+    def _run(self, frames: Device, look: Callable[[np.ndarray], _Result]) -> None:
         try:
             while not self._stop.is_set():
-                picture = self._frames.read()
-                at = self._clock()
+                picture = frames.read()
+                at = monotonic()
                 if picture is None:
                     self.fault = "the camera gives no more pictures"
                     break
                 try:
-                    self._latest = self._look(picture), at
+                    self._latest = look(picture), at
                     self.fault = ""
                 except CameraError as error:
                     self.fault = f"{error}"
         except Exception as error:  # of a thread, which nobody else would see
             self.fault = f"{type(error).__name__}: {error}"
         finally:
-            self._frames.release()
+            frames.close()
 
     def latest(self) -> tuple[_Result, float] | None:
         """The latest result and its age [s]; None before the first. Never waits."""
         latest = self._latest
-        return None if latest is None else (latest[0], self._clock() - latest[1])
+        return None if latest is None else (latest[0], monotonic() - latest[1])
 
     def close(self) -> None:
         """Let the camera go; at most a second if it hangs."""

@@ -194,17 +194,14 @@ class Tags(Watch[Pose], Source):
 
     where = "the camera"
 
-    def __init__(
-        self, frames: Device, lens: Lens, top: float, clock: Callable[[], float] = monotonic
-    ) -> None:
-        self._lens = lens
-        self._top = top
-        super().__init__(frames, self._see, clock)
+    def __init__(self, frames: Device, lens: Lens, top: float) -> None:
+        def look(picture: np.ndarray) -> Pose:
+            lens.require(picture)
+            place = object_place(detect(picture), lens, top)
+            turn = Rotation.from_matrix(place.rotation)
+            return Pose(place.position, tuple(turn.as_quat().tolist()))
 
-    def _see(self, picture: np.ndarray) -> Pose:
-        self._lens.require(picture)
-        place = object_place(detect(picture), self._lens, self._top)
-        return Pose(place.position, tuple(Rotation.from_matrix(place.rotation).as_quat().tolist()))
+        super().__init__(frames, look)
 
 
 def source_of(text: str, seen: ObjectSpec | None = None) -> Source:

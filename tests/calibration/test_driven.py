@@ -321,7 +321,7 @@ class Stalled:
             return None
         return np.zeros((72, 128), np.uint8)
 
-    def release(self):
+    def close(self):
         pass
 
 

@@ -116,13 +116,13 @@ def test_the_lens_may_say_where_the_boards_are():
 class Pictures:
     def __init__(self, *pictures):
         self._pictures = list(pictures)
-        self.released = False
+        self.closed = False
 
     def read(self):
         return self._pictures.pop(0) if self._pictures else None
 
-    def release(self):
-        self.released = True
+    def close(self):
+        self.closed = True
 
 
 def test_a_watch_keeps_the_latest_result_and_says_why_there_is_none():
@@ -135,7 +135,7 @@ def test_a_watch_keeps_the_latest_result_and_says_why_there_is_none():
     assert age >= 0
     assert source.fault == "the camera gives no more pictures"
     source.close()
-    assert pictures.released
+    assert pictures.closed
 
 
 def test_pictures_of_another_size_than_the_camera_has_are_told():

@@ -103,7 +103,7 @@ class Turned:
         sheet = Piece((PAGE[0] / 2, PAGE[1] / 2), *PAGE)
         return camera.picture([(sheet, np.zeros(3), np.eye(3)[0], np.eye(3)[1])], rng)
 
-    def release(self):
+    def close(self):
         pass
 
 
