@@ -208,7 +208,12 @@ def parser_of(argv: Sequence[str]) -> Parser:
         version=f"hpac_gym {__version__}",
         help="show the version and exit",
     )
-    parser.add_argument("--completion", action=_Completion)
+    parser.add_argument(
+        "--completion",
+        action=_Completion,
+        nargs=0,
+        help='print completion for bash and zsh: eval "$(hpac --completion)"',
+    )
     subparsers = parser.add_subparsers(
         prog="hpac",
         metavar="COMMAND",
@@ -255,10 +260,6 @@ complete -o default -F _hpac hpac"""
 
 class _Completion(argparse.Action):
     """Prints the script of `completion`."""
-
-    def __init__(self, option_strings: Sequence[str], dest: str) -> None:
-        about = 'print completion for bash and zsh: eval "$(hpac --completion)"'
-        super().__init__(option_strings, dest, nargs=0, help=about)
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
         print(completion())

@@ -22,9 +22,10 @@ from tqdm import tqdm
 from agents import RunError
 from agents.learner import Learner
 from agents.recipes import Recipe
+from agents.runs import other_versions
 from agents.trials import Columns, Source, Trials, sizes_of, worlds_of
 from hpac_gym.errors import install
-from hpac_gym.evaluation.environment import other_versions, versions
+from hpac_gym.evaluation.environment import versions
 from hpac_gym.evaluation.seeds import training_seed
 
 # longest wait of a step for a chunk [s], so that a time limit or Ctrl-C can end the training

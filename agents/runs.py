@@ -10,6 +10,7 @@ import errno
 import json
 import os
 import shutil
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,7 +20,7 @@ from agents import POLICY, RunError
 from agents.curves import PAGE, PICTURE, RESULTS
 from agents.progress import BOARD, CURVE
 from agents.recipes import Recipe, settings_of
-from hpac_gym.evaluation.environment import other_versions, versions
+from hpac_gym.evaluation.environment import versions
 
 if TYPE_CHECKING:
     from agents.learner import Learner
@@ -29,6 +30,16 @@ _PREFIX = "checkpoint-"
 _UNFINISHED = ".unfinished"
 _BEFORE = ".before"
 """Of a complete checkpoint while one of as many trials takes its place."""
+
+
+def other_versions(told: Mapping[str, str]) -> str:
+    """The entries of `told` that differ from `versions` here, in words; empty if there are none."""
+    here = versions()
+    return ", ".join(
+        f"{name} {told.get(name)}, not {here[name]} as here"
+        for name in here
+        if told.get(name) != here[name]
+    )
 
 
 def save_checkpoint(folder: Path, learner: Learner, state: dict[str, Any]) -> Path:

@@ -43,7 +43,6 @@ from hpac_gym.evaluation.splits import (
     env_hash,
     from_before,
     judged_splits,
-    required_splits,
     splits_of,
 )
 from hpac_gym.evaluation.statistics import wilson_interval
@@ -61,32 +60,28 @@ def header(args: argparse.Namespace) -> Results:
             f"policy '{args.policy}' of budget {budget:,} contains no {{seed}}: a trained method needs {RUNS} runs"
         )
     seeds = list(range(RUNS if budget else 1))
-    names = [args.policy.replace("{seed}", str(seed)) for seed in seeds]
-    normalize = [_seeded(args.normalize, seed) for seed in seeds]
+    runs = [(_seeded(args.policy, seed), _seeded(args.normalize, seed)) for seed in seeds]
+    splits = splits_of(args.env)
     left_out = [
         split
-        for split, options in splits_of(args.env).items()
-        if split not in required_splits(args.env) and not is_installed(options["engine"])
+        for split, options in splits.items()
+        if not is_installed(options.get("engine", "mujoco"))
     ]
     if left_out:
         warnings.warn(
             f"PyBullet is not installed: the file will lack {', '.join(left_out)}", stacklevel=2
         )
-    for split in splits_of(args.env):  # raises errors before the long run
-        if split in left_out:
-            continue
+    for split in [split for split in splits if split not in left_out]:
         with make_env(args.env, **_options(args.env, split, args.obs)) as env:
-            for name, statistics in zip(names, normalize, strict=True):
-                load_policy(name, env, statistics)
+            for name, statistics in runs:
+                load_policy(name, env, statistics)  # errors are raised before the long run
     return {
         "schema": SCHEMA,
         "env_id": args.env,
         "env_sha256": env_hash(args.env),
         "policy": args.policy,
         "files": [
-            _file(name, statistics)
-            for name, statistics in zip(names, normalize, strict=True)
-            if policy_path(name).is_file()
+            _file(name, statistics) for name, statistics in runs if policy_path(name).is_file()
         ],
         "about": args.about,
         "budget": budget,
@@ -119,9 +114,8 @@ def _file(name: str, normalize: str | None) -> dict[str, Any]:
 def judge(head: Results, split: str, seed: int, workers: int) -> Results:
     """Evaluate one cell: the episodes of one run on one split."""
     options = _options(head["env_id"], split, head["obs"])
-    name = head["policy"].replace("{seed}", str(seed))
     result = evaluate(
-        [name],
+        [_seeded(head["policy"], seed)],
         head["env_id"],
         head["episodes"],
         seed_start=head["first_seed"],
@@ -155,12 +149,12 @@ def check(paths: Sequence[Path], as_json: bool = False) -> int:
             for path, bad, results in rows
         ]
         print(json.dumps({"files": told}))
-        return int(any(all_faults))
-    for path, bad, results in rows:
-        told = "\n".join(f"{path}: {fault}" for fault in bad)
-        print(told or f"{path}: valid\n\n{table(results)}\n")
-    if not any(all_faults) and len(files) == 2 and files[0]["env_id"] == files[1]["env_id"]:
-        print(comparison(*files))
+    else:
+        for path, bad, results in rows:
+            told = "\n".join(f"{path}: {fault}" for fault in bad)
+            print(told or f"{path}: valid\n\n{table(results)}\n")
+        if not any(all_faults) and len(files) == 2 and files[0]["env_id"] == files[1]["env_id"]:
+            print(comparison(*files))
     return int(any(all_faults))
 
 

@@ -81,13 +81,3 @@ def versions(*more: str) -> dict[str, str]:
         except PackageNotFoundError:
             versions_here[name] = "not installed"
     return versions_here
-
-
-def other_versions(told: Mapping[str, str]) -> str:
-    """The entries of `told` that differ from `versions` here, in words; empty if there are none."""
-    here = versions()
-    return ", ".join(
-        f"{name} {told.get(name)}, not {here[name]} as here"
-        for name in here
-        if told.get(name) != here[name]
-    )

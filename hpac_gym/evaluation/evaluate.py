@@ -287,14 +287,16 @@ def run(args: argparse.Namespace) -> int:
             raise OutputError(f"--out is '{args.out}', a policy to evaluate")
     made = next((name for name in args.policy if "env_id" in about(name)), args.policy[0])
     env_id = args.env or env_id_of(made)
-    how = {
-        "seed_start": args.seed_start,
-        "workers": args.workers,
-        "time_limit": 60 * args.time_limit,
-        "options": needed_options(made) | env_options(args, env_id),
-        "normalize": args.normalize,
-    }
-    judged = evaluate(names, env_id, args.episodes, **how)
+    judged = evaluate(
+        names,
+        env_id,
+        args.episodes,
+        seed_start=args.seed_start,
+        workers=args.workers,
+        time_limit=60 * args.time_limit,
+        options=needed_options(made) | env_options(args, env_id),
+        normalize=args.normalize,
+    )
     summary = judged.summary()
     told = [{"file": name, **origin} for name in files if (origin := about(name, args.normalize))]
     if len(told) == 1:

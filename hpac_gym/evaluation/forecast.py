@@ -147,13 +147,12 @@ def run(args: argparse.Namespace) -> int:
     hands = read_draws(args.file, hand)
     env_id = args.env or env_id_of(args.policy)
     given = needed_options(args.policy) | env_options(args, env_id)
-    options = dict(given)
-    options["model"] = HPAC if args.commands == NOMINAL else load_hand(args.commands or args.file)
+    model = HPAC if args.commands == NOMINAL else load_hand(args.commands or args.file)
     expected = forecast(
         hands[: args.count],
         args.policy,
         env_id,
-        options,
+        {**given, "model": model},
         args.episodes,
         of=args.of,
         seed_start=args.seed_start,

@@ -5,6 +5,7 @@ import json
 import math
 import re
 from collections.abc import Mapping
+from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -85,7 +86,7 @@ def with_set(options: Mapping[str, Any], texts: list[str]) -> dict[str, Any]:
     Raises:
         ParameterError: A text is not NAME=VALUE, or its name leads into something else.
     """
-    chosen = dict(options)
+    chosen = deepcopy(dict(options))
     for text in texts:
         path, equals, value = text.partition("=")
         *parents, name = path.split(".")
@@ -93,12 +94,7 @@ def with_set(options: Mapping[str, Any], texts: list[str]) -> dict[str, Any]:
             raise ParameterError(f"--set '{text}' is not NAME=VALUE, such as config.hold_time=2")
         place: Any = chosen
         for parent in parents:
-            place[parent] = (
-                dict(place[parent])
-                if isinstance(place.get(parent), dict)
-                else place.get(parent, {})
-            )
-            place = place[parent]
+            place = place.setdefault(parent, {})
             if not isinstance(place, dict):
                 raise ParameterError(f"--set '{text}': {parent} is {place!r}, and has no {name}")
         numbers = re.fullmatch(r"[-+.\deE\s]+(,[-+.\deE\s]+)+", value)
@@ -124,9 +120,7 @@ def object_of(text: str) -> ObjectSpec | dict[str, Any]:
     shape, _, sizes = text.partition(":")
     try:
         half = [float(size) for size in sizes.split(",")]
-        if len(half) != len(SHAPES[shape]):
-            raise ValueError
-        if not all(math.isfinite(size) for size in half):
+        if len(half) != len(SHAPES[shape]) or not all(map(math.isfinite, half)):
             raise ValueError
     except (KeyError, ValueError):
         forms = ", ".join(f"{name}:{','.join(parts)}" for name, parts in SHAPES.items())

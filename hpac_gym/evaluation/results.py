@@ -25,7 +25,6 @@ from hpac_gym.evaluation.splits import (
     from_before,
     judged_splits,
     lacking,
-    required_splits,
     splits_of,
 )
 from hpac_gym.evaluation.statistics import (
@@ -127,10 +126,12 @@ def _header_faults(results: Results) -> Iterator[str]:
         yield f"episodes are {episodes}: a submission has at least {EPISODES:,} in each cell"
     if first != BENCHMARK_SEED:
         yield f"first_seed is {first}, not {BENCHMARK_SEED}"
-    for split in set(results.get("left_out", [])) - set(splits_of(results["env_id"])):
-        yield f"left_out names '{split}', which is no split"
-    for split in set(results.get("left_out", [])) & set(required_splits(results["env_id"])):
-        yield f"split '{split}' is left out: only those of PyBullet may be"
+    splits = splits_of(results["env_id"])
+    for split in results.get("left_out", []):
+        if split not in splits:
+            yield f"left_out names '{split}', which is no split"
+        elif splits[split].get("engine") != "pybullet":
+            yield f"split '{split}' is left out: only those of PyBullet may be"
     if budget:
         low, high = results["training_seeds"]
         if low <= first + episodes - 1 and high >= first:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from hpac_gym.body.object_sets import object_set
-from hpac_gym.envs.models import FILES
+from hpac_gym.envs.commands import FILES
 from hpac_gym.envs.options import CALIBRATED
 from hpac_gym.errors import EnvError, HpacError
 from hpac_gym.evaluation.environment import make_env
@@ -114,14 +114,6 @@ def env_hash(env_id: str, without: Sequence[str] = ()) -> str:
             for entry in object_set(name)
         ]
     return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()
-
-
-def required_splits(env_id: str) -> list[str]:
-    """The splits of an id that no results file may leave out: all but those of PyBullet, which
-    many systems cannot install."""
-    return [
-        split for split, options in splits_of(env_id).items() if options.get("engine") != "pybullet"
-    ]
 
 
 def judged_splits(results: Results) -> list[str]:
