@@ -6,28 +6,31 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from hpac_gym.envs.commands import Commands, Transmit
+from hpac_gym.envs.commands import Commands, LinkFaults, Transmit
 from hpac_gym.envs.observations import Observation, Observations
 from hpac_gym.envs.options import CALIBRATED, Options
 from hpac_gym.envs.pictures import Pictures
-from hpac_gym.envs.starts import start_of
+from hpac_gym.envs.randomization import changed_setup, drawn_value, stream
 from hpac_gym.envs.wrists import Wrists
 from hpac_gym.errors import EpisodeError, ParameterError
 from hpac_gym.model import SERVOS
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import Engine, PhysicsError, PhysicsWarning, SceneSetup, SceneState
-from hpac_gym.physics.settings import BODIES
+from hpac_gym.physics.settings import BODIES, HandSettings
 from hpac_gym.physics.simulation import Simulation, make_engine
 from hpac_gym.tasks.options import check_choice
 from hpac_gym.tasks.quality import grasp_quality
-from hpac_gym.tasks.task import CONTROL_HZ, FAILURE, RUNNING, Task
+from hpac_gym.tasks.task import CONTROL_HZ, FAILURE, RUNNING, GoalSetup, Task
 from hpac_gym.tasks.terms import Moment
+
+_NO_CHOICE = HandSettings()
 
 
 class Episodes:
@@ -72,11 +75,9 @@ class Episodes:
         _check(task, options)
         self.task = task
         self.options = options
-        visuals = options.visuals or options.obs == "image"
-        self.simulation = Simulation(
-            engine or make_engine(options.engine, num_worlds, options.world, visuals)
-        )
-        engine = self.simulation.engine
+        visuals = options.render_mode == "rgb_array" or options.obs == "image"
+        engine = engine or make_engine(options.engine, num_worlds, options.world, visuals)
+        self.simulation = Simulation(engine)
         try:
             engine.require(BODIES[options.body])
             engine.every_step = task.every_step
@@ -117,21 +118,23 @@ class Episodes:
         Returns:
             Values drawn by the randomization, by name, for each of the worlds.
         """
-        chosen = given or [None] * len(worlds)
-        starts = [
-            start_of(self.task, self.options, self.randomizations[world], generator, own)
-            for world, generator, own in zip(worlds, generators, chosen, strict=True)
-        ]
-        for world, start in zip(worlds, starts, strict=True):
-            self.commands.disturb(world, start.faults)
-            self._camera.start(world, start.setup, *start.noise)
-        self._begin(worlds, [start.setup for start in starts])
+        setups = []
+        drawn = []
+        for world, rng, own in zip(worlds, generators, given or [None] * len(worlds), strict=True):
+            setup_rng, camera_rng = rng.spawn(2)
+            values = self.randomizations[world].draw(setup_rng)
+            setup = changed_setup(_setup(self.task, self.options, setup_rng, own), values)
+            self.commands.disturb(world, _link_faults(values, setup_rng))
+            self._camera.start(world, setup, drawn_value(values, "sensor_noise", 1.0), camera_rng)
+            setups.append(setup)
+            drawn.append(values)
+        self._begin(worlds, setups)
         self.outcome[np.asarray(worlds)] = RUNNING
         self.terms = {}
         self.episode = object()
         still = np.zeros_like(self.commands.last_action)
         self._look(self.simulation.state(), still, worlds)
-        return [start.drawn for start in starts]
+        return drawn
 
     def _begin(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
         """Set up the scenes of some worlds."""
@@ -230,6 +233,31 @@ class Episodes:
         """Close the engine and the page. Closing twice is allowed."""
         self.simulation.engine.close()
         self.pictures.close()
+
+
+def _setup(
+    task: Task, options: Options, rng: np.random.Generator, given: SceneSetup | None
+) -> SceneSetup:
+    """The setup of an episode, drawn by the task if none is given, with the servo zeros and the
+    body of the options; a given one keeps its own.
+    """
+    drawn = given is None or isinstance(given, GoalSetup)
+    setup = given or task.setup(rng, options.hand)
+    settings = setup.hand_settings
+    if drawn and any(zero := options.hand.calibration.servo_zero):
+        zero = tuple(np.add(settings.servo_zero, zero).tolist())
+        settings = replace(settings, servo_zero=zero)
+    body = BODIES[options.body]
+    if body != _NO_CHOICE and (drawn or settings == _NO_CHOICE):
+        settings = replace(settings, armature=body.armature, hub_inertia=body.hub_inertia)
+    return setup if settings is setup.hand_settings else replace(setup, hand_settings=settings)
+
+
+def _link_faults(values: Mapping[str, Array], rng: np.random.Generator) -> LinkFaults | None:
+    """What is wrong with the link to the hand, for values drawn by the randomization."""
+    lost = drawn_value(values, "dropped_frames", 0.0)
+    late = drawn_value(values, "late_frames", 0.0)
+    return LinkFaults(lost, late, stream(rng, "losses")) if lost or late else None
 
 
 def quality(episodes: Episodes, world: int) -> float:

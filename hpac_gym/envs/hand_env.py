@@ -37,6 +37,9 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     Raises:
         TypeError: An unknown option.
         ParameterError: An unknown value, a bad hand file, or an engine that is not installed.
+
+    Attributes:
+        slices: slices of the observation vector, by field name.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": RENDER_MODES, "render_fps": CONTROL_HZ}
@@ -58,6 +61,7 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self._episodes: Episodes | None = Episodes(task, 1, chosen, transmit, physics)
         self.observation_space = self._episodes.observations.space
         self.action_space = self._episodes.action_space
+        self.slices = self._episodes.observations.slices
         self.dt = self._episodes.dt
         self._running = False
 
@@ -90,11 +94,6 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     def phase(self) -> str:
         """Current phase of the wrist motion, one of the task's `phases`."""
         return self.task.phases[self._begun().now.phase[0]]
-
-    @property
-    def slices(self) -> dict[str, slice]:
-        """Slices of the observation vector, by field name."""
-        return self.episodes.observations.slices
 
     @property
     def command(self) -> ServoCommand:

@@ -127,11 +127,6 @@ class Options:
         object.__setattr__(self, "randomize", randomization(self.randomize))
         object.__setattr__(self, "noise", settings_from(CameraNoise(), self.noise, "noise"))
 
-    @property
-    def visuals(self) -> bool:
-        """Whether pictures may be asked for."""
-        return self.render_mode == "rgb_array"
-
 
 COMMON = tuple(
     replace(entry.metadata["option"], name=entry.name, default=entry.default)

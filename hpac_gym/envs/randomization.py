@@ -37,7 +37,7 @@ class Randomization:
     tendon_stiffness: Range = setting(
         _SAME,
         "factor of EA and of the drive's stiffness, one for each digit",
-        bounds=(0.5, 1.3),
+        bounds=(0.5, 1.3),  # with more the integration of the stiffest mode is unstable (ω dt)
         draws=len(DIGITS),
     )
     slack: Range = setting(
@@ -86,20 +86,14 @@ class Randomization:
 
     def draw(self, rng: np.random.Generator) -> Mapping[str, Array]:
         """Values of one episode, by name; quantities with their default range are left out."""
-        wanted = [name for name, nominal in _NOMINAL.items() if getattr(self, name) != nominal]
-        return {
-            name: stream(rng, name).uniform(*getattr(self, name), _DRAWS[name]) for name in wanted
-        }
+        found = {}
+        for quantity in fields(self):
+            bounds = getattr(self, quantity.name)
+            if bounds != quantity.default:
+                draws = quantity.metadata.get("draws", 1)
+                found[quantity.name] = stream(rng, quantity.name).uniform(*bounds, draws)
+        return found
 
-
-BOUNDS: Mapping[str, Range] = MappingProxyType(
-    {quantity.name: quantity.metadata["bounds"] for quantity in fields(Randomization)}
-)
-"""Bounds of each range. The upper bound of the tendon stiffness keeps the integration of the
-stiffest mode stable (ω dt).
-"""
-_NOMINAL = {quantity.name: quantity.default for quantity in fields(Randomization)}
-_DRAWS = {quantity.name: quantity.metadata.get("draws", 1) for quantity in fields(Randomization)}
 
 _HAND = {
     "tendon_stiffness": (0.8, 1.2),
@@ -179,29 +173,29 @@ def changed_setup(setup: SceneSetup, values: Mapping[str, Array]) -> SceneSetup:
         hand = changed_hand(hand, values["tendon_stiffness"])
     servo = replace(
         settings.servo,
-        lag=_value(values, "servo_lag", settings.servo.lag),
-        dead_band=_value(values, "dead_band", settings.servo.dead_band),
+        lag=drawn_value(values, "servo_lag", settings.servo.lag),
+        dead_band=drawn_value(values, "dead_band", settings.servo.dead_band),
     )
     settings = replace(
         settings,
         servo=servo,
         slack=tuple(values["slack"].tolist()) if "slack" in values else settings.slack,
-        joint_friction=_value(values, "joint_friction", settings.joint_friction),
-        contact_friction=settings.contact_friction * _value(values, "skin_friction", 1.0),
+        joint_friction=drawn_value(values, "joint_friction", settings.joint_friction),
+        contact_friction=settings.contact_friction * drawn_value(values, "skin_friction", 1.0),
     )
     if setup.object is None:
         return replace(setup, hand=hand, hand_settings=settings)
     spec = replace(
         setup.object,
-        mass=setup.object.mass * _value(values, "object_mass", 1.0),
-        friction=setup.object.friction * _value(values, "object_friction", 1.0),
+        mass=setup.object.mass * drawn_value(values, "object_mass", 1.0),
+        friction=setup.object.friction * drawn_value(values, "object_friction", 1.0),
     )
     offset = np.concatenate([[0.0], values.get("object_position", np.zeros(2))])
     changed = replace(
         setup,
         object=spec,
         position=setup.position + offset,
-        yaw=setup.yaw + _value(values, "object_yaw", 0.0),
+        yaw=setup.yaw + drawn_value(values, "object_yaw", 0.0),
         hand=hand,
         hand_settings=settings,
     )
@@ -210,5 +204,6 @@ def changed_setup(setup: SceneSetup, values: Mapping[str, Array]) -> SceneSetup:
     return placing.on_something(changed, stand=False) if lies else changed
 
 
-def _value(values: Mapping[str, Array], name: str, nominal: float) -> float:
+def drawn_value(values: Mapping[str, Array], name: str, nominal: float) -> float:
+    """The value of a quantity that is one number; the nominal one if it was not drawn."""
     return float(values[name][0]) if name in values else nominal

@@ -75,6 +75,9 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
     Raises:
         TypeError: An unknown option.
         ParameterError: `num_envs` or `max_episode_steps` below 1, or an option refused by `HandEnv`.
+
+    Attributes:
+        slices: slices of an observation vector, by field name.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": RENDER_MODES, "render_fps": CONTROL_HZ}
@@ -105,6 +108,7 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         self._episodes = Episodes(task, num_envs, chosen, engine=physics)
         self._goals = GoalRewards(task, chosen.reward) if task.goal_terms else None
         self.dt = self._episodes.dt
+        self.slices = self._episodes.observations.slices
         self.single_action_space = self._episodes.action_space
         self.single_observation_space = self._episodes.observations.space
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -115,11 +119,6 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         self._running = False
 
     episodes = property(open_episodes)
-
-    @property
-    def slices(self) -> dict[str, slice]:
-        """Slices of an observation vector, by field name."""
-        return self.episodes.observations.slices
 
     def reset(
         self,

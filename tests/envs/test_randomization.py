@@ -6,11 +6,15 @@ import numpy as np
 import pytest
 
 from hpac_gym.envs import GoalEnv, Grasp, GraspAny, HandEnv, Posture, ScriptedClosure
-from hpac_gym.envs.randomization import BOUNDS, PRESETS, Randomization, changed_setup, stream
+from hpac_gym.envs.randomization import PRESETS, Randomization, changed_setup, stream
 from hpac_gym.errors import ParameterError
 from hpac_gym.model import HPAC
 from hpac_gym.physics.supports import support_boxes
 from hpac_gym.tasks.placing import BOARD
+
+BOUNDS = {
+    quantity.name: quantity.metadata["bounds"] for quantity in dataclasses.fields(Randomization)
+}
 
 
 def setup_of(seed: int = 0):
