@@ -12,22 +12,18 @@ from hpac_gym.errors import ParameterError
 from hpac_gym.model import HPAC, Hand
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import SceneSetup, SceneState
-from hpac_gym.physics.settings import GRAVITY
 from hpac_gym.settings import setting
 from hpac_gym.tasks.cameras import CameraNoise
 from hpac_gym.tasks.grasp import OBJECT_OPTION, Grasp
 from hpac_gym.tasks.grasp_setups import GraspConfig, GraspWeights
-from hpac_gym.tasks.grip import lengths
 from hpac_gym.tasks.occlusion import Rows
 from hpac_gym.tasks.options import Option, config_option
-from hpac_gym.tasks.phases import Timetable, wrist_table
+from hpac_gym.tasks.phases import Timetable
 from hpac_gym.tasks.privileged import PRIVILEGED_TERMS
 from hpac_gym.tasks.senses import LOAD_TERMS, VIEW_TARGET, Senses, ServoSenses
 from hpac_gym.tasks.task import FAILURE
 from hpac_gym.tasks.terms import Moment, RewardTerm, Term, column
 
-_FINE = 1e-3
-"""Time between points of the wrist's path from which its acceleration is computed [s]."""
 LIMIT_UNIT = 5.0
 """Unit of the crush limit in the observation [N]."""
 
@@ -193,16 +189,6 @@ class Gentle(Grasp):
         """Draw one episode: as for `Grasp`, and the crush limit."""
         scene = super().setup(rng, hand)
         return scene.to(GentleSetup, crush_limit=rng.uniform(*self.config.crush_limit))
-
-    def needed_squeeze(self, setup: SceneSetup) -> float:
-        """Squeeze of two opposed sides whose friction alone, by Coulomb's law, carries the object
-        through all of the wrist's motion [N].
-        """
-        times = np.arange(0.0, self.duration, _FINE)
-        path = wrist_table(self.timetable, tuple(times.tolist()))
-        acceleration = np.diff(path, 2, axis=0) / _FINE**2 + [0.0, 0.0, GRAVITY]
-        friction = setup.object.friction * setup.hand_settings.contact_friction
-        return float(setup.object.mass * lengths(acceleration).max() / (2 * friction))
 
     def start(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
         super().start(worlds, setups)

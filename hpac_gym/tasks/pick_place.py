@@ -16,7 +16,7 @@ from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import HAND_QUATERNION, SceneSetup, SceneState, Viewpoint
 from hpac_gym.settings import check_bounds, setting, settings_from
 from hpac_gym.tasks.cameras import CameraNoise, ObjectCamera
-from hpac_gym.tasks.grasp_setups import PALM_SURFACE
+from hpac_gym.tasks.grasp_setups import PALM_SURFACE, GraspWeights
 from hpac_gym.tasks.grip import lengths
 from hpac_gym.tasks.options import config_option
 from hpac_gym.tasks.phases import PickPlaceTimetable
@@ -49,17 +49,10 @@ REACH, CLOSE, LIFT, PLACE = range(4)
 
 
 @dataclass(frozen=True, slots=True)
-class PickPlaceWeights:
+class PickPlaceWeights(GraspWeights):
     """Weights of the dense reward terms."""
 
-    thumb: float = 0.1
-    finger: float = 0.05
-    opposed: float = 0.2
-    push: float = -0.3
-    carry: float = 0.5
-    effort: float = -0.01
     success: float = 20.0
-    failure: float = -5.0
     place: float = 0.5
     release: float = 0.5
 
