@@ -25,7 +25,7 @@ from hpac_gym.calibration.judging import judged
 from hpac_gym.calibration.record import RecordError, Sweep
 from hpac_gym.command import command_parser, run, whole_number
 from hpac_gym.envs import GRASPS
-from hpac_gym.envs.models import FILES
+from hpac_gym.envs.commands import FILES
 from hpac_gym.evaluation.evaluate import run_block
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import paired_difference, success_counts

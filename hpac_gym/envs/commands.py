@@ -1,15 +1,17 @@
 """The commands of n hands: from actions to the servo angles that arrive at them."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import lru_cache, partial
+from dataclasses import dataclass, replace
+from functools import cache, lru_cache, partial
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hpac_gym.envs.models import model_of
+from hpac_gym.envs.options import CALIBRATED
 from hpac_gym.errors import WorkspaceError
 from hpac_gym.model import (
+    DIGITS,
     HPAC,
     JOINTS,
     SERVOS,
@@ -17,15 +19,21 @@ from hpac_gym.model import (
     ServoCommand,
     action_from_synergy,
     elastic_joints_from_servo,
+    load_hand,
     servo_from_synergy,
     streamed_servo,
 )
+from hpac_gym.model.calibration import Calibration, Friction
 from hpac_gym.model.checks import Array, as_bounded_array
 from hpac_gym.model.command import ACTION_TOLERANCE
 from hpac_gym.model.maps import CommandMap
 from hpac_gym.physics.engine import SceneSetup
 from hpac_gym.tasks.task import CONTROL_HZ
 
+FILES = Path(__file__).parents[1] / "body" / "data" / "calibrated"
+"""Hand files of the held-out hands, which `python -m experiments.held_out` makes. The hand with a
+dead finger has none, since `hpac calibrate` refuses it: it keeps the nominal numbers.
+"""
 Transmit = Callable[[ServoCommand], ServoCommand]
 
 
@@ -102,7 +110,7 @@ class Commands:
         index = np.asarray(worlds)
         self._flexing[index] = True
         if isinstance(self._model, str):
-            self._map.take(worlds, [model_of(self._model, setup) for setup in setups])
+            self._map.take(worlds, [_model(self._model, setup) for setup in setups])
         if self._map.inverts_files:
             synergy = np.stack([setup.synergy for setup in setups])
             self.servo[index] = self._map.servo_from_synergy(synergy, self._flexing[index], index)
@@ -182,3 +190,25 @@ def _start_of(hand: Hand, *synergy: float) -> tuple[Array, Array, Array]:
     """
     servo = servo_from_synergy(synergy, hand)
     return servo, elastic_joints_from_servo(servo, hand), action_from_synergy(synergy, hand)
+
+
+def _model(name: str, setup: SceneSetup) -> Hand:
+    """The model of an episode's hand for the option `model`, "hand" or "calibrated".
+
+    "hand" is a hand file with the true numbers of the simulated hand: slack is a part of the
+    servo's zero, since it is wound up before the tendon pulls.
+    """
+    if name == CALIBRATED:
+        return _calibrated(setup.hand.name)
+    settings = setup.hand_settings
+    hubs = [digit.servo_radius for digit in setup.hand.digits.values()]
+    wound = [slack / hub for slack, hub in zip(settings.slack, hubs, strict=True)]
+    zero = np.subtract(settings.servo_zero, [*wound, 0.0]).tolist()
+    friction = Friction(settings.joint_friction, settings.tendon_friction)
+    return replace(setup.hand, calibration=Calibration(tuple(zero), (friction,) * len(DIGITS)))
+
+
+@cache
+def _calibrated(name: str) -> Hand:
+    path = FILES / f"{name.removeprefix('H-PAC ')}.toml"
+    return load_hand(path) if path.exists() else HPAC

@@ -20,7 +20,7 @@ from hpac_gym.deploy.commands import object_of
 from hpac_gym.deploy.errors import DeployError, PoseError
 from hpac_gym.deploy.observer import Observer
 from hpac_gym.deploy.poses import Fixed, pose_of
-from hpac_gym.envs.models import FILES
+from hpac_gym.envs.commands import FILES
 from hpac_gym.errors import HpacError, ShapeError
 from hpac_gym.model import (
     DIGITS,
