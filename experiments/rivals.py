@@ -203,7 +203,7 @@ def _errors_of_hand(
     few = record.phase == REST
     predicted = {name: np.zeros_like(truth) for name in RIVALS}
     for swept, digit in enumerate(HPAC.digits.values()):
-        samples = digit_samples(record, swept, digit.joints)
+        samples = digit_samples(record, swept)
         which = _chosen(len(samples.servo), number, rng)
         few |= (record.swept == swept) & np.isin(record.point, samples.point[which])
         joints = [JOINT_INDEX[joint] for joint in digit.joints]

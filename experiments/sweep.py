@@ -9,7 +9,7 @@ import numpy as np
 from experiments.reference import Reference
 from hpac_gym.calibration import sweep as of_record
 from hpac_gym.calibration.accuracy import residuals
-from hpac_gym.calibration.processing import Points, points, processed
+from hpac_gym.calibration.processing import points, processed
 from hpac_gym.calibration.record import Sweep, write_sweep
 from hpac_gym.command import command_parser, run
 from hpac_gym.figures import label
@@ -22,7 +22,7 @@ EVALUATION_STREAM = 1
 WORKSPACE_POINTS = 21
 
 
-def workspace(points: Points) -> dict[str, tuple[float, float]]:
+def workspace(points: Sweep) -> dict[str, tuple[float, float]]:
     """Table I from a sweep: smallest and largest angle of each joint while its servo moved
     [rad].
     """

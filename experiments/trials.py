@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from experiments.reference import Reference
 from experiments.results import Column, Interval, Part, mean_of, rows_of, table
-from hpac_gym.calibration.processing import Points, points, processed
+from hpac_gym.calibration.processing import points, processed
 from hpac_gym.calibration.record import EXTENDING, FLEXING, Sweep, concatenate, joints_of_servo
 from hpac_gym.figures import BLUE, GREY, label, new_figure
 from hpac_gym.model import JOINTS, SERVOS
@@ -50,7 +50,7 @@ def run_trials(
     return concatenate(parts)
 
 
-def by_joint(found: Points) -> dict[str, JointTrials]:
+def by_joint(found: Sweep) -> dict[str, JointTrials]:
     """The trials of every swept joint, one row per trial, in the order of the points."""
     return {
         JOINTS[joint]: JointTrials(
@@ -63,7 +63,7 @@ def by_joint(found: Points) -> dict[str, JointTrials]:
     }
 
 
-def _table(found: Points, servo: int, values: Array, phase: int) -> Array:
+def _table(found: Sweep, servo: int, values: Array, phase: int) -> Array:
     rows = (found.swept == servo) & (found.phase == phase)
     return values[rows].reshape(len(np.unique(found.trial[rows])), -1)
 

@@ -8,13 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hpac_gym.calibration.processing import Points
-from hpac_gym.calibration.record import FLEXING, joints_of_servo
+from hpac_gym.calibration.record import FLEXING, Sweep
 from hpac_gym.figures import GREEN, GREY, RED, label, new_figure
 from hpac_gym.model import (
     HPAC,
     JOINTS,
-    SERVOS,
     Hand,
     elastic_joints_from_servo,
     rigid_joints_from_servo,
@@ -46,25 +44,27 @@ class Residuals:
     """q_meas − q_comp with q_comp = H(u)u − b(q), or the rest angle of a calibrated hand."""
 
 
-def residuals(points: Points, hand: Hand = HPAC) -> dict[str, Residuals]:
-    """Residuals of every joint at the points of its own servo's flexion, over all trials; `hand` is
-    not fitted to them.
+def residuals(points: Sweep, hand: Hand = HPAC) -> dict[str, Residuals]:
+    """Residuals of every measured joint at the `processing.points` of its own servo's flexion, over
+    all trials; `hand` is not fitted to them.
     """
     rigid = rigid_joints_from_servo(points.servo, hand)
     compensated = settled_joints_from_servo if hand.is_calibrated else elastic_joints_from_servo
     elastic = compensated(points.servo, hand)
     by_joint = {}
-    for servo in range(len(SERVOS)):
-        rows = (points.swept == servo) & (points.phase == FLEXING)
-        for joint in joints_of_servo(servo) if rows.any() else ():
-            seen = np.flatnonzero(rows)[~np.isnan(points.joint_pos[rows, joint])]
-            if seen.size:
-                measured = points.joint_pos[seen, joint]
-                angles = points.servo[seen, servo]
-                by_joint[JOINTS[joint]] = Residuals(
-                    angles, measured, measured - rigid[seen, joint], measured - elastic[seen, joint]
-                )
-    return {name: by_joint[name] for name in JOINTS if name in by_joint}
+    for joint, name in enumerate(JOINTS):
+        servo = hand.servo_of_joint[joint]
+        flexing = (points.swept == servo) & (points.phase == FLEXING)
+        seen = flexing & ~np.isnan(points.joint_pos[:, joint])
+        if seen.any():
+            measured = points.joint_pos[seen, joint]
+            by_joint[name] = Residuals(
+                points.servo[seen, servo],
+                measured,
+                measured - rigid[seen, joint],
+                measured - elastic[seen, joint],
+            )
+    return by_joint
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,11 +2,10 @@
 commands.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hpac_gym.calibration.identification import Identification
 from hpac_gym.calibration.record import Sweep
@@ -53,45 +52,36 @@ def residuals(
     table: dict[str, tuple[DigitSamples, Array]] = {}
     for column, samples in by_servo.items():
         servo = np.zeros((len(samples.servo), len(SERVOS)))
-        predicted = np.empty((len(samples.servo), len(JOINTS)))
         servo[:, column] = samples.servo
-        for direction in (FLEXION, EXTENSION):
-            rows = samples.direction == direction
-            predicted[rows] = settled_joints_from_servo(servo[rows], hand, direction)
-        rest = samples.joint_pos - predicted[:, [JOINT_INDEX[joint] for joint in samples.joints]]
-        table |= {
-            joint: (samples, rest[:, i])
-            for i, joint in enumerate(samples.joints)
-            if joint not in samples.missing
-        }
+        flexed = settled_joints_from_servo(servo, hand, FLEXION)
+        extended = settled_joints_from_servo(servo, hand, EXTENSION)
+        predicted = np.where(samples.direction[:, None] == FLEXION, flexed, extended)
+        for i, joint in enumerate(samples.joints):
+            if joint not in samples.missing:
+                rest = samples.joint_pos[:, i] - predicted[:, JOINT_INDEX[joint]]
+                table[joint] = samples, rest
     return {name: table[name] for name in JOINTS if name in table}
 
 
 def file_errors(identified: Identification, written: Hand) -> dict[str, FileError]:
     """Errors at the held-out points, by joint."""
-    return _errors(identified.samples, written, held_out_rows)
+    held_out = {
+        servo: samples.only(held_out_rows(samples)) for servo, samples in identified.samples.items()
+    }
+    return _errors(held_out, written)
 
 
 def check_errors(second: Sweep, written: Hand, base: Hand) -> dict[str, FileError]:
     """Errors at all the points of an independent sweep, by joint."""
-    by_servo = {}
-    for servo, name in enumerate(SERVOS):
-        root = name.partition("_")[0]
-        joints = ("thumb_cmc",) if name == "thumb_cmc" else base.digits[root].joints
-        if samples := digit_samples(second, servo, joints, base):
-            by_servo[servo] = samples
-    return _errors(by_servo, written, lambda samples: np.ones(len(samples.point), dtype=bool))
+    by_servo = {servo: digit_samples(second, servo, base) for servo in range(len(SERVOS))}
+    return _errors({servo: samples for servo, samples in by_servo.items() if samples}, written)
 
 
-def _errors(
-    by_servo: Mapping[int, DigitSamples],
-    written: Hand,
-    rows_of: Callable[[DigitSamples], NDArray[np.bool_]],
-) -> dict[str, FileError]:
-    """Errors by joint at some points of the samples; joints without any are left out."""
+def _errors(by_servo: Mapping[int, DigitSamples], written: Hand) -> dict[str, FileError]:
+    """Errors by joint; joints without a measurement at these points are left out."""
     errors = {}
     for name, (samples, rest) in residuals(by_servo, written).items():
-        off = np.degrees(np.abs(rest[rows_of(samples) & ~np.isnan(rest)]))
+        off = np.degrees(np.abs(rest[~np.isnan(rest)]))
         if off.size:
             noise = np.degrees(samples.noise[samples.joints.index(name)])
             errors[name] = FileError(float(off.mean()), float(off.max()), float(noise), off.size)

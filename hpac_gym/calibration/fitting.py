@@ -266,7 +266,7 @@ def soft_beyond_outliers(squares: Array, data: int) -> Array:
 def fit_digit(
     samples: DigitSamples, base: Digit, prior: Prior, hold_out: bool, draws: int
 ) -> DigitFit:
-    fitted = samples.only(np.flatnonzero(~held_out_rows(samples))) if hold_out else samples
+    fitted = samples.only(~held_out_rows(samples)) if hold_out else samples
     problem = _Problem(fitted, base, prior)
     count = len(prior.centre)
     start = np.concatenate([prior.centre, np.zeros(2 * fitted.joint_pos.shape[1])])

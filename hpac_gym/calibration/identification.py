@@ -20,10 +20,10 @@ from hpac_gym.calibration.fitting import (
     fit_cmc,
     fit_digit,
 )
-from hpac_gym.calibration.record import Sweep
+from hpac_gym.calibration.record import Sweep, joints_of_servo
 from hpac_gym.calibration.samples import DigitSamples, digit_samples
 from hpac_gym.errors import ParameterError
-from hpac_gym.model import HPAC, SERVOS, Hand
+from hpac_gym.model import HPAC, JOINTS, SERVOS, Hand
 from hpac_gym.model.checks import Array
 from hpac_gym.model.settled import FLEXION, digit_statics
 from hpac_gym.progress import progress
@@ -100,7 +100,7 @@ def identify(
     kept = {}
     for servo, (name, digit) in progress(list(enumerate(base.digits.items())), "digits", shown):
         try:
-            samples = _enough(record, servo, digit.joints, base, least_points)
+            samples = _enough(record, servo, base, least_points)
             prior = Prior.about(digit, spread, radii_known, papers_model)
             fit = fit_digit(samples, digit, prior, hold_out, draws)
             if radii_known:
@@ -115,7 +115,7 @@ def identify(
         )
     cmc = cmc_samples = cmc_draws = None
     try:
-        cmc_samples = _enough(record, len(SERVOS) - 1, ("thumb_cmc",), base, least_points)
+        cmc_samples = _enough(record, len(SERVOS) - 1, base, least_points)
         cmc, cmc_draws = fit_cmc(cmc_samples, base.cmc_gain, hold_out, draws)
     except IdentificationError as error:
         kept["thumb_cmc"] = str(error)
@@ -135,14 +135,11 @@ def _check_radii(fit: DigitFit, prior: Prior) -> None:
             raise IdentificationError(message)
 
 
-def _enough(
-    record: Sweep, servo: int, joints: tuple[str, ...], base: Hand, least_points: int
-) -> DigitSamples:
-    samples = digit_samples(record, servo, joints, base)
+def _enough(record: Sweep, servo: int, base: Hand, least_points: int) -> DigitSamples:
+    samples = digit_samples(record, servo, base)
     if samples is None:
-        raise IdentificationError(
-            f"no measurement of {', '.join(joints)} while servo {SERVOS[servo]} sweeps"
-        )
+        joints = ", ".join(JOINTS[joint] for joint in joints_of_servo(servo)[::-1])
+        raise IdentificationError(f"no measurement of {joints} while servo {SERVOS[servo]} sweeps")
     count = len(np.unique(samples.point[samples.direction == FLEXION]))
     if count < least_points:
         at_stops = f" ({samples.at_stops} more are at stops)" if samples.at_stops else ""

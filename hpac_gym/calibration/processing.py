@@ -4,8 +4,6 @@ correction; then points.
 Here unwrapping precedes the filter, and mistaken markers are left out: a low-pass would smear both
 over neighbouring samples. On a record without them this makes no difference."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from hpac_gym.calibration.record import REST, RecordError, Sweep, joints_of_servo
@@ -35,22 +33,6 @@ MOST_DRIFT = np.deg2rad(1.0) / 60
 LEAST_SHIFT = np.deg2rad(0.5)
 """A digit did not come back to its stops if its rests differ by more than a camera drifts, `MOST_DRIFT`
 [rad/s], and by more than `LEAST_SHIFT` [rad]. Chosen: five standard deviations of a usual camera."""
-
-
-@dataclass(frozen=True, slots=True)
-class Points:
-    """The sampling points of a sweep: means over the samples with stationary servos."""
-
-    trial: np.ndarray
-    """Shape (k,)."""
-    swept: np.ndarray
-    """Index in `SERVOS`, shape (k,)."""
-    phase: np.ndarray
-    """Index in `PHASES`, shape (k,)."""
-    servo: Array
-    """Servo angles u, shape (k, 6) [rad]."""
-    joint_pos: Array
-    """Joint angles q_meas, shape (k, 15) [rad]; NaN for points without a measurement."""
 
 
 def processed(sweep: Sweep) -> Sweep:
@@ -174,22 +156,19 @@ def without_drift(sweep: Sweep, last_rest: bool = True) -> Sweep:
         rest = rows[sweep.phase[rows] == REST]
         if not rest.size:
             continue
-        time = sweep.time[rest] - sweep.time[rows[0]]
         moving = rows[sweep.phase[rows] != REST]
-        both_ends = moving.size and rest[0] < moving[0] and rest[-1] > moving[-1]
-        if both_ends and not last_rest:
-            rest = rest[rest < moving[0]]
-            time = time[: rest.size]
-            both_ends = False
-        ends = (rest < moving[0], rest > moving[0]) if both_ends else (slice(None),)
-        basis = np.vander(time, len(ends))
+        ends = [rest]
+        if moving.size and rest[0] < moving[0] and rest[-1] > moving[-1]:
+            ends = [rest[rest < moving[0]]]
+            if last_rest:
+                ends.append(rest[rest > moving[0]])
+        time = sweep.time - sweep.time[rows[0]]
         for joint in joints_of_servo(int(sweep.swept[rows[0]])):
-            seen = np.zeros(rest.size, dtype=bool)
-            for end in ends:
-                seen[end] = near_median(joint_pos[rest[end], joint])
-            if seen.sum() >= basis.shape[1]:
-                line = np.linalg.lstsq(basis[seen], joint_pos[rest[seen], joint], rcond=None)[0]
-                joint_pos[rows, joint] -= np.polyval(line, sweep.time[rows] - sweep.time[rows[0]])
+            seen = np.concatenate([end[near_median(joint_pos[end, joint])] for end in ends])
+            if seen.size >= len(ends):
+                basis = np.vander(time[seen], len(ends))
+                line = np.linalg.lstsq(basis, joint_pos[seen, joint], rcond=None)[0]
+                joint_pos[rows, joint] -= np.polyval(line, time[rows])
     return sweep.with_joint_pos(joint_pos)
 
 
@@ -217,8 +196,8 @@ def noise_of(deviations: Array) -> float:
     return max(robust_deviation(deviations), float(LEAST_NOISE))
 
 
-def points(sweep: Sweep) -> Points:
-    """One entry for every sampling point of every segment and direction.
+def points(sweep: Sweep) -> Sweep:
+    """One entry for every sampling point of every segment and direction: the means of its samples.
 
     Raises:
         RecordError: No sample belongs to a sampling point.
@@ -229,13 +208,13 @@ def points(sweep: Sweep) -> Points:
             "column point: no row of a flexion or an extension is at a sampling point (all are −1)"
         )
     keys = np.stack([sweep.trial, sweep.swept, sweep.phase, sweep.point], axis=1)[held]
-    unique, group = np.unique(keys, axis=0, return_inverse=True)
-    group = group.reshape(-1)
-    servo, joint_pos = (
-        group_means(values[held], group)[0] for values in (sweep.servo, sweep.joint_pos)
+    labels, group = np.unique(keys, axis=0, return_inverse=True)
+    time, servo, joint_pos = (
+        group_means(values[held], group.reshape(-1))[0]
+        for values in (sweep.time[:, None], sweep.servo, sweep.joint_pos)
     )
-    trial, swept, phase = unique.T[:3]
-    return Points(trial, swept, phase, servo, joint_pos)
+    trial, swept, phase, point = labels.T
+    return Sweep(trial, swept, phase, point, time[:, 0], servo, joint_pos)
 
 
 def group_means(values: Array, group: np.ndarray) -> tuple[Array, Array]:

@@ -19,8 +19,8 @@ from hpac_gym.calibration.processing import (
     noise_of,
     without_drift,
 )
-from hpac_gym.calibration.record import EXTENDING, FLEXING, REST, Sweep
-from hpac_gym.model import HPAC, JOINT_INDEX, SERVOS, Hand
+from hpac_gym.calibration.record import EXTENDING, FLEXING, REST, Sweep, joints_of_servo
+from hpac_gym.model import HPAC, JOINTS, SERVOS, Hand
 from hpac_gym.model.checks import Array
 from hpac_gym.model.settled import EXTENSION, FLEXION
 from hpac_gym.model.transmission import unchecked_synergy_from_servo
@@ -89,12 +89,11 @@ def held_out_rows(samples: DigitSamples) -> np.ndarray:
     return rows
 
 
-def digit_samples(
-    record: Sweep, servo: int, joints: tuple[str, ...], base: Hand = HPAC
-) -> DigitSamples | None:
+def digit_samples(record: Sweep, servo: int, base: Hand = HPAC) -> DigitSamples | None:
     """Sampling points of a servo's sweeps without those at stops or near the reversal; None if no
     joint was measured.
     """
+    joints = joints_of_servo(servo)[::-1]
     parts = []
     for rows in record.segments():
         if record.swept[rows[0]] != servo:
@@ -105,21 +104,21 @@ def digit_samples(
             held = np.flatnonzero((segment.phase == phase) & (segment.point >= 0))
             if held.size:
                 parts.append(_phase_points(segment, held, joints, direction, bool(differing)))
-    unseen = [
-        all(np.isnan(part.joint_pos[:, i]).all() for part in parts) for i in range(len(joints))
-    ]
-    if all(unseen):
+    if not parts:
         return None
     of_points: dict[str, Any] = {
         name: np.concatenate([getattr(part, name) for part in parts]) for name in _OF_POINTS
     }
+    unseen = np.isnan(of_points["joint_pos"]).all(axis=0)
+    if unseen.all():
+        return None
     whole = replace(
         parts[0],
         **of_points,
         noise=np.mean([part.noise for part in parts], axis=0),
         samples=sum(part.samples for part in parts),
         outliers=sum(part.outliers for part in parts),
-        missing=tuple(name for name, never in zip(joints, unseen, strict=True) if never),
+        missing=tuple(JOINTS[joint] for joint, never in zip(joints, unseen, strict=True) if never),
     )
     kept = _without_stops(whole, servo, base)
     back = kept.direction == EXTENSION
@@ -128,17 +127,16 @@ def digit_samples(
     near_turn = kept.servo >= kept.servo.max() - TURNED * (
         base.servo_max[servo] - base.servo_min[servo]
     )
-    return kept.only(np.flatnonzero(~(back & near_turn)))
+    return kept.only(~(back & near_turn))
 
 
 def _phase_points(
-    sweep: Sweep, rows: np.ndarray, joints: tuple[str, ...], direction: float, differing: bool
+    sweep: Sweep, rows: np.ndarray, joints: list[int], direction: float, differing: bool
 ) -> DigitSamples:
-    columns = [JOINT_INDEX[name] for name in joints]
     numbers, place = np.unique(sweep.point[rows], return_inverse=True)
-    off = np.abs(point_medians(sweep, rows)[2][:, columns])
+    off = np.abs(point_medians(sweep, rows)[2][:, joints])
     far = FAR * np.array([noise_of(values) for values in off.T])
-    values = np.where(off <= far, sweep.joint_pos[rows][:, columns], np.nan)
+    values = np.where(off <= far, sweep.joint_pos[rows][:, joints], np.nan)
     mean, kept = group_means(values, place)
     freedom = np.maximum(kept.sum(axis=0) - (kept > 0).sum(axis=0), 1)
     noise = np.maximum(
@@ -148,7 +146,7 @@ def _phase_points(
     servo = sweep.servo[rows, sweep.swept[rows[0]]]
     time, servo = group_means(np.stack([time, servo], axis=1), place)[0].T
     return DigitSamples(
-        joints,
+        tuple(JOINTS[joint] for joint in joints),
         servo,
         np.full(len(numbers), direction),
         numbers,
@@ -222,4 +220,4 @@ def _without_stops(samples: DigitSamples, servo: int, base: Hand) -> DigitSample
     kept = samples.servo <= limit + 1e-6
     # This one holds the others.
     stops = {name: at_stop[name] for name, start in starts.items() if start == min(starts.values())}
-    return replace(samples.only(np.flatnonzero(kept)), stops=stops, at_stops=int((~kept).sum()))
+    return replace(samples.only(kept), stops=stops, at_stops=int((~kept).sum()))

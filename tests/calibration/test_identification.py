@@ -255,10 +255,9 @@ def test_a_stop_is_found_wherever_the_servo_has_its_zero(zero):
     """Beyond the design's range of the servo, and past the guides, where the design says nothing."""
     metal = (Metal(), Metal(stop=(9.0, 9.0, 1.1)), Metal(), Metal(), Metal())
     stopped = metal_sweeps([Built(HPAC, metal)], 3, servos=("index_mcp",))[0]
-    joints = HPAC.digits["index"].joints
-    there = digit_samples(stopped, 1, joints)
+    there = digit_samples(stopped, 1)
     turned = replace(stopped, servo=stopped.servo + zero * np.eye(6)[1])
-    here = digit_samples(turned, 1, joints)
+    here = digit_samples(turned, 1)
     assert here.stops == there.stops == {"index_dip": pytest.approx(1.1, abs=2e-3)}
     assert here.at_stops == there.at_stops >= 3
 
@@ -273,7 +272,7 @@ def test_no_point_at_which_a_joint_rests_at_a_stop_is_fitted():
         for stop in stops
     ]
     for stop, stopped in zip(stops, metal_sweeps(built, 3, servos=("index_mcp",)), strict=True):
-        samples = digit_samples(stopped, 1, HPAC.digits["index"].joints)
+        samples = digit_samples(stopped, 1)
         sweep = np.zeros((len(samples.servo), 6))
         sweep[:, 1] = samples.servo
         free = settled_joints_from_servo(sweep, HPAC)[:, JOINT_INDEX["index_dip"]]
@@ -416,9 +415,7 @@ def test_a_record_may_lack_a_joint_column(record, tmp_path):
 def test_several_trials_tell_more_than_one(hidden):
     first, second = metal_sweeps([hidden] * 2, 1, JointCamera(), servos=("index_mcp",))
     both = concatenate([first, replace(second, trial=second.trial + 1)])
-    assert (
-        len(digit_samples(both, SERVOS.index("index_mcp"), HPAC.digits["index"].joints).servo) == 62
-    )
+    assert len(digit_samples(both, SERVOS.index("index_mcp")).servo) == 62
     hubs = [identify(sweep).fits["index"].estimates[0] for sweep in (first, both)]
     assert hubs[1].high - hubs[1].low < hubs[0].high - hubs[0].low
 
