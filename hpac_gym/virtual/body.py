@@ -237,7 +237,6 @@ class LockStep(Source, Arm):
         noise: CameraNoise = CameraNoise(),
         by_table: bool = True,
     ) -> None:
-        self._by_table = by_table
         self.body = Body(env, seed, setup, noise, by_table)
         error = 1 + noise.size * self.body._rng.standard_normal()
         item = self.body.setup.object
@@ -252,7 +251,7 @@ class LockStep(Source, Arm):
 
     def ready(self, wait: Any, told: Mapping[str, Any]) -> None:
         """The arm's table and the physics begin."""
-        if not self._by_table:
+        if not self.body._by_table:
             self.body.place(self.body.setup, servo_from_pulses(self.hand.pulses()))
         self.body.begin(self.hand.now_us)
         self.hand.quiet_until_us = self.hand.now_us

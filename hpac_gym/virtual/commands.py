@@ -10,13 +10,11 @@ import signal
 import sys
 from contextlib import ExitStack, closing
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from hpac_gym.bridge import BridgeError, HostBoard, open_transport
-from hpac_gym.bridge.stop import UNCONFIRMED, stop
+from hpac_gym.bridge import HostBoard
 from hpac_gym.command import add_json, say, seconds, whole_number
 from hpac_gym.errors import ParameterError
 from hpac_gym.physics.engine import SceneSetup
@@ -89,21 +87,17 @@ def run(options: argparse.Namespace) -> int:
         relay = None
         if faults != Faults() or options.reset_on_open:
             relay = Relay(board, faults, options.seed or 0, options.reset_on_open)
-            stack.callback(relay.close)
-        hand = Virtual(body, board, relay, options.arm_port, options.pose_port)
-        stack.callback(hand.close)
-        hand.blind = options.blind
-        hand.as_json = options.json
+            stack.enter_context(closing(relay))
+        ports = (options.arm_port, options.pose_port)
+        hand = Virtual(body, board, relay, *ports, options.blind, options.json)
+        stack.enter_context(closing(hand))
         if options.angles:
-            hand.tracker = Tracker(options.angles)
-            stack.callback(hand.tracker.close)
+            hand.tracker = stack.enter_context(closing(Tracker(options.angles)))
         if options.view:
             from hpac_gym.view.page import HandPage
 
-            hand.page = HandPage(
-                setup, ABOUT, stop=partial(_estop, hand, board), browser=not options.no_browser
-            )
-            stack.callback(hand.page.close)
+            page = HandPage(setup, ABOUT, hand.estop, browser=not options.no_browser)
+            hand.page = stack.enter_context(closing(page))
         try:
             ports = {"pose_port": hand.pose_port, "arm_port": hand.arm_port}
             say(options.json, _greeting(options, hand, setup), port=hand.port, **ports)
@@ -115,16 +109,6 @@ def run(options: argparse.Namespace) -> int:
             drawn = revealed(options.seed, setup)
             say(options.json, drawn, drawn=drawn.splitlines())
     return 0
-
-
-def _estop(hand: Virtual, board: HostBoard) -> None:
-    """Stop the hand from the page's thread, as `hpac estop` does; the page tells what came of it."""
-    try:
-        with closing(open_transport(board.port, lock=False)) as transport:
-            stop(transport)
-        hand.stopped = f"Stopped: fault estop until `hpac clear --port {hand.port}`. "
-    except BridgeError as error:
-        hand.stopped = UNCONFIRMED.format(error)
 
 
 def _greeting(options: argparse.Namespace, hand: Virtual, setup: SceneSetup) -> str:

@@ -7,13 +7,20 @@ import select
 import socket
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from hpac_gym.bridge import HostBoard, PortError, servo_from_pulses
+from hpac_gym.bridge import (
+    BridgeError,
+    HostBoard,
+    PortError,
+    open_transport,
+    servo_from_pulses,
+)
+from hpac_gym.bridge.stop import UNCONFIRMED, stop
 from hpac_gym.calibration.record import JOINT_COLUMNS
 from hpac_gym.command import say
 from hpac_gym.deploy import arm as arms, poses
@@ -74,6 +81,8 @@ class Virtual:
         relay: a bad wire in front of it.
         arm_port: UDP port at which the arm is told; 0 is a free one.
         pose_port: UDP port to which poses are sent; 0 is a free one.
+        blind: time from the beginning of an episode to the loss of its object [s].
+        as_json: whether outcomes are told as JSON.
 
     Raises:
         ParameterError: A port cannot be opened.
@@ -82,14 +91,19 @@ class Virtual:
         port: the hand's port.
         page: a `hpac_gym.view.page.HandPage`, or None.
         tracker: a `Tracker`, or None.
-        as_json: whether outcomes are told as JSON.
         stopped: what came of the page's ESTOP, until there are pulses again.
-        blind: time from the beginning of an episode to the loss of its object [s].
         arm_port, pose_port: the UDP ports.
     """
 
     def __init__(
-        self, body: Body, board: HostBoard, relay: Relay | None, arm_port: int, pose_port: int
+        self,
+        body: Body,
+        board: HostBoard,
+        relay: Relay | None = None,
+        arm_port: int = 0,
+        pose_port: int = 0,
+        blind: float = np.inf,
+        as_json: bool = False,
     ) -> None:
         self.body = body
         self.port = relay.port if relay else board.port
@@ -117,7 +131,8 @@ class Virtual:
         self.stopped = ""
         self.page: Any = None
         self.tracker: Tracker | None = None
-        self.blind = np.inf
+        self._blind = blind
+        self._as_json = as_json
         self._seen_until = np.inf
 
     def turn(self) -> None:
@@ -144,7 +159,7 @@ class Virtual:
                 self.body.follow(round(1e6 * now), pulses, by_hand)
             except PhysicsError as error:
                 said = f"{error}; everything is put back"
-                say(self.as_json, said, episode=self._episodes, error=str(error))
+                say(self._as_json, said, episode=self._episodes, error=str(error))
                 self.body.place(self.body.setup)
             state = self.body.state()
             self.body.tidy_up(state)
@@ -202,7 +217,7 @@ class Virtual:
                     if self.body.outcome != RUNNING:  # the hand may have kept its power since
                         self.body.place(self.body.setup, self.body.state().horn[0])
                     self.body.begin(now_us)
-                    self._seen_until = 1e-6 * now_us + self.blind
+                    self._seen_until = 1e-6 * now_us + self._blind
                     self._told = RUNNING
                     self._episodes += 1
                 self._phase = told["phase"]
@@ -218,7 +233,16 @@ class Virtual:
             self._told = self.body.outcome
             outcome = OUTCOMES[self._told]
             said = f"episode {self._episodes}: {outcome}"
-            say(self.as_json, said, episode=self._episodes, outcome=outcome)
+            say(self._as_json, said, episode=self._episodes, outcome=outcome)
+
+    def estop(self) -> None:
+        """Stop the hand, as `hpac estop` does, from any thread; `stopped` tells what came of it."""
+        try:
+            with closing(open_transport(self._board.port, lock=False)) as transport:
+                stop(transport)
+            self.stopped = f"Stopped: fault estop until `hpac clear --port {self.port}`. "
+        except BridgeError as error:
+            self.stopped = UNCONFIRMED.format(error)
 
     def close(self) -> None:
         """Close the sockets."""

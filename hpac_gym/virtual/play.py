@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, closing, suppress
 
 from hpac_gym.bridge import pulses_from_servo
 from hpac_gym.command import add_json, say
@@ -38,7 +38,7 @@ def run(options: argparse.Namespace) -> int:
         env = stack.enter_context(env_of(options)).unwrapped
         body = Body(env, options.seed or 0, scene(env, options.env, options.seed))
         page = HandPage(body.setup, ABOUT, browser=not options.no_browser)
-        stack.callback(page.close)
+        stack.enter_context(closing(page))
         if options.json:
             say(True, "", page=page.address)
         page.lift.visible = True

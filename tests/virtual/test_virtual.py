@@ -42,7 +42,6 @@ from hpac_gym.virtual.body import (
     LockStep,
     Path as WristPath,
 )
-from hpac_gym.virtual.commands import _estop
 from hpac_gym.virtual.hand import Tracker, Virtual
 from hpac_gym.virtual.scene import CAN, scene
 from hpac_gym.virtual.wire import BadTransport, Faults, Way
@@ -84,7 +83,7 @@ def running(*words, **variables):
 @pytest.mark.parametrize("outcome", [SUCCESS, RUNNING])
 def test_the_object_is_back_when_the_arm_is_asked_to_be_ready_after_an_episode(env, outcome):
     """Also where the hand has kept its power since; during an episode it is not moved."""
-    with HostBoard() as board, closing(Virtual(Body(env, 3), board, None, 0, 0)) as hand:
+    with HostBoard() as board, closing(Virtual(Body(env, 3), board)) as hand:
         start = hand.body.state().object_pos[0].copy()
         state = hand.body.setup
         hand.body.place(replace(state, position=state.position + np.array([0.0, 0.0, 0.03])))
@@ -98,8 +97,7 @@ def test_the_object_is_back_when_the_arm_is_asked_to_be_ready_after_an_episode(e
 
 
 def test_an_episode_begins_after_one_that_was_given_up_before_the_hand_closed(env):
-    with HostBoard() as board, closing(Virtual(Body(env, 3), board, None, 0, 0)) as hand:
-        hand.blind = 60.0
+    with HostBoard() as board, closing(Virtual(Body(env, 3), board, blind=60.0)) as hand:
         program = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         with program, HandLink(board.connect) as link:
             for episode in (1, 2):
@@ -116,7 +114,7 @@ def test_an_episode_begins_after_one_that_was_given_up_before_the_hand_closed(en
 
 
 def test_a_virtual_hand_whose_board_was_killed_says_so(env):
-    with HostBoard() as board, closing(Virtual(Body(env, 3), board, None, 0, 0)) as hand:
+    with HostBoard() as board, closing(Virtual(Body(env, 3), board)) as hand:
         hand.turn()
         board.process.kill()
         board.process.wait()
@@ -147,7 +145,7 @@ class Page:
 
 def test_the_page_tells_what_came_of_its_red_button_until_a_program_drives_again(env, monkeypatch):
     monkeypatch.setattr(bridge_stop, "PATIENCE", 0.3)
-    with HostBoard() as board, closing(Virtual(Body(env, 3), board, None, 0, 0)) as hand:
+    with HostBoard() as board, closing(Virtual(Body(env, 3), board)) as hand:
         hand.page = Page()
 
         def said():
@@ -160,7 +158,7 @@ def test_the_page_tells_what_came_of_its_red_button_until_a_program_drives_again
                 link.clear()
                 link.arm(watchdog=2.0)
                 assert said() == "A program drives the hand. "
-                _estop(hand, board)
+                hand.estop()
                 return said()
 
         assert said() == "The sliders drive the hand. "
@@ -168,27 +166,27 @@ def test_the_page_tells_what_came_of_its_red_button_until_a_program_drives_again
             drive() == drive() == f"Stopped: fault estop until `hpac clear --port {board.port}`. "
         )
         board.process.send_signal(signal.SIGSTOP)
-        _estop(hand, board)
+        hand.estop()
         assert said().startswith("Stop NOT CONFIRMED: switch the supply off. no answer to estop")
         assert hand.page.is_free
         board.process.send_signal(signal.SIGCONT)
 
 
 def test_a_page_stops_a_board_that_has_restarted_at_another_port(env):
-    with HostBoard() as board, closing(Virtual(Body(env, 3), board, None, 0, 0)) as hand:
+    with HostBoard() as board, closing(Virtual(Body(env, 3), board)) as hand:
         before = board.port
         board.__exit__()
         occupied = os.openpty()
         board.__enter__()
         assert board.port != before
-        _estop(hand, board)
+        hand.estop()
         assert hand.stopped.startswith("Stopped: fault estop")
         for end in occupied:
             os.close(end)
 
 
 def test_the_page_s_button_puts_the_object_back_once(env):
-    with HostBoard() as board, closing(Virtual(Body(env, 3), board, None, 0, 0)) as hand:
+    with HostBoard() as board, closing(Virtual(Body(env, 3), board)) as hand:
         hand.page = Page()
         setup = hand.body.setup
         hand.body.place(replace(setup, position=setup.position + np.array([0.0, 0.0, 0.03])))
@@ -556,7 +554,7 @@ def test_a_wire_loses_damages_and_delays_whole_frames():
     ids=range(16),
 )
 def test_what_is_no_packet_moves_no_arm(env, wrong):
-    with HostBoard() as board, closing(Virtual(Body(env, 3), board, None, 0, 0)) as hand:
+    with HostBoard() as board, closing(Virtual(Body(env, 3), board)) as hand:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as program:
             program.connect(("127.0.0.1", hand.arm_port))
             program.send(b'{"hpac_arm": 1, "phase": "ready"}')
