@@ -20,8 +20,6 @@ GUIDE_TILT = 0.35
 affects the physics.
 """
 _PLACE = {"mcp": 0, "mp": 0, "cmc": 0, "pip": 1, "ip": 1, "dip": 2}
-_CMC = SERVOS.index("thumb_cmc")
-_CMC_JOINT = JOINT_INDEX["thumb_cmc"]
 
 
 def armature_of(joint: str, armature: tuple[float, float, float]) -> float:
@@ -116,7 +114,7 @@ class Mechanics:
         stiffness = np.array([digit.drive_stiffness for digit in digits])
         inertia = inertia.copy()
         inertia[ROOTS, ROOTS] += hub_mass * drive_arms(hand) ** 2
-        inertia[_CMC_JOINT, _CMC_JOINT] += settings.hub_inertia / hand.cmc_gain**2
+        inertia[-1, -1] += settings.hub_inertia / hand.cmc_gain**2  # the last joint is the CMC
         viscosity, _ = viscosities(hand, inertia, damping.ratio)
         coupling_damping, drive_damping = np.split(viscosity[:-1], [len(coupling)])
         length = hand.rest_chord + np.broadcast_to(settings.slack, len(digits))
@@ -141,7 +139,7 @@ def _root_frames(geometry: Geometry) -> tuple[Array, Array]:
     their parents' frames.
     """
     links = {phalanx.joint: phalanx for phalanx in geometry.phalanges}
-    roots = [links[joint] for joint in SERVOS[:_CMC]]
+    roots = [links[joint] for joint in SERVOS[:-1]]
     return np.array([link.origin for link in roots]), np.array(
         [rotation_from_rpy(link.rpy) for link in roots]
     )

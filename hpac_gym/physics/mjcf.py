@@ -117,17 +117,9 @@ def hand_mjcf(
     for phalanx in geometry.phalanges:
         bodies[phalanx.link] = _add_phalanx(bodies[phalanx.parent], phalanx, settings, hand)
     links = {phalanx.joint: phalanx for phalanx in geometry.phalanges}
-    for digit, servo, guides in zip(DIGITS, SERVOS, mechanics.guides, strict=False):
-        for body, name, guide in zip(
-            (links[servo].parent, links[servo].link), ("fixed", "moving"), guides, strict=True
-        ):
-            Xml.SubElement(
-                bodies[body],
-                "site",
-                name=f"{digit}_{name}_guide",
-                pos=text_of(guide, 15),
-                size="0.002",
-            )
+    for digit, servo, (fixed, moving) in zip(DIGITS, SERVOS, mechanics.guides, strict=False):
+        _add_guide(bodies[links[servo].parent], f"{digit}_fixed_guide", fixed)
+        _add_guide(bodies[links[servo].link], f"{digit}_moving_guide", moving)
     contact = Xml.SubElement(root, "contact")
     # MuJoCo excludes contacts with the parent, except where the palm is part of the world.
     for digit in geometry.digits:
@@ -136,6 +128,10 @@ def hand_mjcf(
     _add_actuators(Xml.SubElement(root, "actuator"), mechanics, hand, on_wrist)
     Xml.indent(root)
     return HEADER + Xml.tostring(root, encoding="unicode") + "\n"
+
+
+def _add_guide(body: Xml.Element, name: str, place: Array) -> None:
+    Xml.SubElement(body, "site", name=name, pos=text_of(place, 15), size="0.002")
 
 
 def _add_defaults(root: Xml.Element, settings: HandSettings) -> None:
@@ -306,23 +302,22 @@ def _add_inertial(body: Xml.Element, center: Array, inertia: Array, mass: float)
 
 
 def _add_geom(
-    body: Xml.Element, solid: Box | Capsule, kind: str, material: str, name: str | None = None
+    body: Xml.Element, solid: Box | Capsule, kind: str, material: str, name: str = ""
 ) -> None:
-    geom = Xml.SubElement(body, "geom", {"class": kind}, material=material)
-    if name is not None:
-        geom.set("name", name)
+    geom = {"class": kind, "material": material} | ({"name": name} if name else {})
     if isinstance(solid, Box):
-        geom.attrib |= {
+        geom |= {
             "type": "box",
             "pos": text_of(solid.center),
             "size": text_of(np.array(solid.size) / 2),
         }
     else:
-        geom.attrib |= {
+        geom |= {
             "type": "capsule",
             "fromto": text_of((*solid.start, *solid.end)),
             "size": text_of((solid.radius,)),
         }
+    Xml.SubElement(body, "geom", geom)
 
 
 def _quaternion(rotation: Array) -> Array:

@@ -47,7 +47,12 @@ class Simulation:
         hold them there.
 
         A servo zero moves the hand, not the servo: commands do not account for it.
+
+        Raises:
+            ParameterError: The engine cannot simulate one of the hands; no world has changed.
         """
+        for setup in setups:
+            self.engine.require(setup.hand_settings)
         horn = [servo_from_synergy(setup.synergy, setup.hand) for setup in setups]
         settings = [setup.hand_settings for setup in setups]
         self.engine.reset(

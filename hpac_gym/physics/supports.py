@@ -40,9 +40,7 @@ def support_boxes(
     """
     rotation = matrix(setup.hand_quaternion)
     centre = HAND_POSITION + rotation @ setup.position
-    reach = setup.rest_height
-    if reach is None:
-        reach = np.abs(matrix(setup.object_quaternion)[2]) @ setup.object.half_extents
+    reach = setup.stand_height
     support = setup.support or POST
     turn = setup.object_turn[1] if setup.support else (0.0, 0.0, 0.0, 1.0)
     floor = support.table_height

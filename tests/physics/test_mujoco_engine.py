@@ -29,6 +29,7 @@ from hpac_gym.physics.engine import (
 from hpac_gym.physics.mujoco import camera
 from hpac_gym.physics.mujoco.engine import MuJoCoEngine
 from hpac_gym.physics.settings import BODIES
+from hpac_gym.physics.simulation import Simulation
 from hpac_gym.tasks.grasp import Grasp
 from hpac_gym.tasks.grasp_data import GRASPS, NOMINAL
 
@@ -363,10 +364,11 @@ def test_a_setup_that_is_no_place_is_an_error():
 def test_what_mujoco_cannot_do_is_refused():
     """A refused setup leaves the worlds beside it as they are."""
     engine = MuJoCoEngine(2)
-    engine.reset([0, 1], [primitive()] * 2)
+    simulation = Simulation(engine)
+    simulation.reset([0, 1], [primitive()] * 2)
     bad = primitive(hand_settings=replace(BODIES["twin"], tendon_friction=0.1))
     with pytest.raises(ParameterError, match=r"tendon_friction = 0.1 must be 0"):
-        engine.reset([0, 1], [primitive("sphere", fixed=True), bad])
+        simulation.reset([0, 1], [primitive("sphere", fixed=True), bad])
     assert engine.single(0)[0].nq == engine.single(1)[0].nq
 
 

@@ -75,13 +75,6 @@ class MuJoCoEngine(Engine):
             )
 
     def reset(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
-        """As `Engine.reset`.
-
-        Raises:
-            ParameterError: A setup's hand has tendon friction.
-        """
-        for setup in setups:
-            self.require(setup.hand_settings)
         started: dict[Group, list[int]] = {}
         for world, setup in sorted(zip(worlds, setups, strict=True), key=itemgetter(0)):
             layout = Layout.of(setup)

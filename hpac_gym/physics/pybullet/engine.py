@@ -67,8 +67,6 @@ class PyBulletEngine(Engine):
             )
 
     def reset(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
-        for setup in setups:
-            self.require(setup.hand_settings)
         for world, setup in zip(worlds, setups, strict=True):
             self.scenes[world].reset(setup)
 

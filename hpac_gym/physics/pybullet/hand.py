@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from hpac_gym.body.geometry import Geometry
 from hpac_gym.body.urdf import WRIST_EFFORT, hand_urdf
 from hpac_gym.model import DIGITS, FINGERS, JOINTS, Hand, joints_from_synergy
-from hpac_gym.model.checks import Array, as_finite_array
+from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import HAND_POSITION, PARTS
 from hpac_gym.physics.mechanics import armature_of
 from hpac_gym.physics.pybullet.world import World, quiet_output
@@ -32,45 +32,6 @@ _LOAD_FLAGS = (
     | pybullet.URDF_USE_SELF_COLLISION
     | pybullet.URDF_USE_SELF_COLLISION_EXCLUDE_PARENT
 )
-
-
-def _load(
-    world: World,
-    settings: HandSettings,
-    geometry: Geometry,
-    on_wrist: bool,
-    orientation: ArrayLike,
-) -> tuple[int, dict[str, int], dict[str, int]]:
-    """Load the body of a hand, with the armatures of its joints; returns the body, and the indices
-    of its joints and links by name.
-    """
-    client = world.client
-    flags = _LOAD_FLAGS if world.visuals else _LOAD_FLAGS | pybullet.URDF_IGNORE_VISUAL_SHAPES
-    with TemporaryDirectory() as folder:  # PyBullet loads from files only
-        file = Path(folder, "hand.urdf")
-        file.write_text(_urdf(geometry, on_wrist), encoding="utf-8")
-        body = pybullet.loadURDF(
-            str(file),
-            list(HAND_POSITION),
-            list(orientation),
-            useFixedBase=True,
-            flags=flags,
-            physicsClientId=client,
-        )
-    info = [
-        pybullet.getJointInfo(body, index, client)
-        for index in range(pybullet.getNumJoints(body, client))
-    ]
-    joints = {entry[1].decode(): entry[0] for entry in info}
-    for name in JOINTS:
-        inertia = np.array(pybullet.getDynamicsInfo(body, joints[name], client)[2])
-        pybullet.changeDynamics(
-            body,
-            joints[name],
-            localInertiaDiagonal=(inertia + armature_of(name, settings.armature)).tolist(),
-            physicsClientId=client,
-        )
-    return body, joints, {entry[12].decode(): entry[0] for entry in info}
 
 
 class SimHand:
@@ -96,9 +57,33 @@ class SimHand:
     ) -> None:
         self.world = world
         self._client = world.client
-        self.body, self.joint_index, self.link_index = _load(
-            world, settings, geometry, on_wrist, orientation
-        )
+        flags = _LOAD_FLAGS if world.visuals else _LOAD_FLAGS | pybullet.URDF_IGNORE_VISUAL_SHAPES
+        with TemporaryDirectory() as folder:  # PyBullet loads from files only
+            file = Path(folder, "hand.urdf")
+            file.write_text(_urdf(geometry, on_wrist), encoding="utf-8")
+            self.body = pybullet.loadURDF(
+                str(file),
+                list(HAND_POSITION),
+                list(orientation),
+                useFixedBase=True,
+                flags=flags,
+                physicsClientId=self._client,
+            )
+        info = [
+            pybullet.getJointInfo(self.body, index, self._client)
+            for index in range(pybullet.getNumJoints(self.body, self._client))
+        ]
+        self.joint_index = {entry[1].decode(): entry[0] for entry in info}
+        self.link_index = {entry[12].decode(): entry[0] for entry in info}
+        for name in JOINTS:
+            link = self.joint_index[name]
+            inertia = np.array(pybullet.getDynamicsInfo(self.body, link, self._client)[2])
+            pybullet.changeDynamics(
+                self.body,
+                link,
+                localInertiaDiagonal=(inertia + armature_of(name, settings.armature)).tolist(),
+                physicsClientId=self._client,
+            )
         self.part_of_link = {-1: 0} | {
             index: next((part for part, digit in enumerate(PARTS) if name.startswith(digit)), 0)
             for name, index in self.link_index.items()
@@ -177,7 +162,6 @@ class SimHand:
         Args:
             synergy: shape (6,) [rad].
         """
-        synergy = as_finite_array(synergy, 6, "synergy")
         angles = [*joints_from_synergy(synergy, self.hand), *[0.0] * len(self._slides)]
         pybullet.resetJointStatesMultiDof(
             self.body,

@@ -3,7 +3,6 @@ the current episode.
 """
 
 from collections.abc import Iterator
-from functools import partial
 
 import numpy as np
 import pybullet
@@ -116,11 +115,9 @@ class Scene:
     """
 
     def __init__(self, settings: WorldSettings, visuals: bool, stages: int = 1) -> None:
+        self._options = settings, visuals
         self._room = stages
-        self._new = partial(Stage, settings, visuals)
-        self._stages = [self._new()]
-        self.world = self._stages[0].world
-        self.hand: SimHand | None = None
+        self._stages: dict[tuple, Stage] = {}
         self.setup: SceneSetup | None = None
         self.time = 0.0
 
@@ -132,6 +129,7 @@ class Scene:
         self.time = 0.0
         self.past: list[tuple[Array | None, ...]] = []
         stage = self._staged(setup)
+        stage.prepare(setup)
         self.world = stage.world
         self.hand = stage.hand
         self.hand.reset(setup.synergy)
@@ -155,16 +153,15 @@ class Scene:
             stage.added += self._supports(setup)
 
     def _staged(self, setup: SceneSetup) -> Stage:
-        """The stage of a setup, with its hand at rest; the last one used is the last of the list."""
+        """The stage of a setup: the one whose hand starts so, a new one, or that not used for
+        longest, the first.
+        """
         start = start_of(setup)
-        stages = self._stages
-        same = [stage for stage in stages if stage.start in (start, None)]
-        if not same and len(stages) < self._room:
-            same = [self._new()]
-        stage = same[0] if same else stages[0]
-        self._stages = [*(other for other in stages if other is not stage), stage]
-        stage.prepare(setup)
-        return stage
+        if start not in self._stages and len(self._stages) < self._room:
+            return self._stages.setdefault(start, Stage(*self._options))
+        oldest = next(iter(self._stages))
+        self._stages[start] = self._stages.pop(start if start in self._stages else oldest)
+        return self._stages[start]
 
     def _supports(self, setup: SceneSetup) -> Iterator[int]:
         """Add posts and walls, the table, and the target's post."""
@@ -223,7 +220,7 @@ class Scene:
 
     def close(self) -> None:
         """Disconnect from all worlds. Closing twice is allowed."""
-        for stage in self._stages:
+        for stage in self._stages.values():
             stage.world.close()
 
 
