@@ -15,8 +15,7 @@ import numpy as np
 
 from hpac_gym.body.geometry import load_geometry
 from hpac_gym.body.object_models import load_object_models
-from hpac_gym.body.object_urdf import object_urdf
-from hpac_gym.body.urdf import HAND_ON_WRIST_URDF, HAND_URDF, hand_urdf
+from hpac_gym.body.urdf import HAND_ON_WRIST_URDF, HAND_URDF, hand_urdf, object_urdf
 from hpac_gym.model import load_hand
 from hpac_gym.physics.mjcf import FILES, hand_mjcf
 from hpac_gym.physics.settings import BODIES

@@ -25,7 +25,7 @@ PRICES = {
     "virtual hand, sliders in the browser": ("virtual", "view"),
     "conformance of a device to the wire": ("bridge/evidence",),
     "camera and printed tags": ("camera",),
-    "a second engine": ("physics/pybullet", "body/object_urdf.py"),
+    "a second engine": ("physics/pybullet",),
     "grasp types": tuple(
         f"tasks/{name}.py"
         for name in ("grasp_types", "grasp_type_data", "grasp_rules", "grasp_holds", "arrival")

@@ -1,17 +1,22 @@
-"""The hand's URDF as text; ``make generate`` writes the committed files.
+"""URDF of the hand and of objects as text; ``make generate`` writes the committed files.
 
-Joint names and limits come from the model, the body from ``data/geometry.toml``; nothing is typed
-twice. Every link has the inertia of its own solids: PyBullet assumes 1 kg for a link without
-``<inertial>``. Joint damping and friction are zero: Bullet integrates them explicitly, which
-oscillates on links this light."""
+Joint names and limits come from the model, the body from ``data/geometry.toml``, objects from their
+models; nothing is typed twice. Every link has the inertia of its own solids: PyBullet assumes 1 kg
+for a link without ``<inertial>``. Joint damping and friction are zero: Bullet integrates them
+explicitly, which oscillates on links this light. An object's frame has its origin at the centre of
+its bounding box; its centre of mass follows from its solids."""
 
+import tempfile
 from collections.abc import Iterable
+from functools import cache
+from pathlib import Path
 from xml.etree import ElementTree as Xml
 
 import numpy as np
 
 from hpac_gym.body.geometry import Array, Box, Capsule, Geometry, Phalanx, Vector
-from hpac_gym.body.solids import inertia_of_point, principal_inertia
+from hpac_gym.body.object_models import ObjectModel
+from hpac_gym.body.solids import Solid, inertia_of_point, principal_inertia
 from hpac_gym.model import HPAC, JOINTS
 
 HAND_URDF = "hpac_hand.urdf"
@@ -33,7 +38,8 @@ COLORS = {
     "pad": (0.93, 0.42, 0.16, 1.0),
 }
 
-Solid = Box | Capsule
+Part = Box | Capsule
+"""A solid of a link, along the link's axes."""
 
 
 def hand_urdf(geometry: Geometry, on_wrist: bool = False) -> str:
@@ -52,13 +58,13 @@ def hand_urdf(geometry: Geometry, on_wrist: bool = False) -> str:
     _add_palm(robot, geometry)
     for digit in geometry.digits:
         for phalanx in digit.phalanges:
-            _add_phalanx(robot, phalanx, tip="pad" if phalanx is digit.phalanges[-1] else "phalanx")
-            _add_hinge(robot, phalanx, geometry)
+            tip = "pad" if phalanx is digit.phalanges[-1] else "phalanx"
+            _add_phalanx(robot, phalanx, geometry, tip)
     Xml.indent(robot)
     return HEADER + Xml.tostring(robot, encoding="unicode") + "\n"
 
 
-def solid_inertia(solids: tuple[Solid, ...], mass: float) -> tuple[Array, Array]:
+def solid_inertia(solids: tuple[Part, ...], mass: float) -> tuple[Array, Array]:
     """Centre of mass, shape (3,) [m], and inertia about it, shape (3, 3) [kg·m²], of solids of
     equal density.
 
@@ -82,7 +88,8 @@ def _add_palm(robot: Xml.Element, geometry: Geometry) -> None:
         _add_collision(link, solid)
 
 
-def _add_phalanx(robot: Xml.Element, phalanx: Phalanx, tip: str) -> None:
+def _add_phalanx(robot: Xml.Element, phalanx: Phalanx, geometry: Geometry, tip: str) -> None:
+    """Add a link with its joint."""
     link = Xml.SubElement(robot, "link", name=phalanx.link)
     add_inertial(link, *solid_inertia((phalanx.capsule,), phalanx.mass), phalanx.mass)
     radius = phalanx.capsule.radius
@@ -90,9 +97,6 @@ def _add_phalanx(robot: Xml.Element, phalanx: Phalanx, tip: str) -> None:
     pin = Capsule((0.0, -0.75 * radius, 0.0), (0.0, 0.75 * radius, 0.0), 0.5 * radius)
     _add_visual(link, pin, "hinge")
     _add_collision(link, phalanx.capsule)
-
-
-def _add_hinge(robot: Xml.Element, phalanx: Phalanx, geometry: Geometry) -> None:
     index = JOINTS.index(phalanx.joint)
     limits = HPAC.joint_min[index], HPAC.joint_max[index], geometry.effort, geometry.velocity
     origin = {"xyz": text_of(phalanx.origin), "rpy": text_of(phalanx.rpy)}
@@ -150,13 +154,13 @@ def add_inertial(link: Xml.Element, center: Array, inertia: Array, mass: float) 
     Xml.SubElement(inertial, "inertia", entries)
 
 
-def _add_collision(link: Xml.Element, solid: Solid) -> None:
+def _add_collision(link: Xml.Element, solid: Part) -> None:
     kind = "box" if isinstance(solid, Box) else "capsule"
     add_shape(link, "collision", _center(solid), _rpy(solid), kind, _size(solid))
 
 
 def _add_visual(
-    link: Xml.Element, solid: Solid, material: str, end_material: str | None = None
+    link: Xml.Element, solid: Part, material: str, end_material: str | None = None
 ) -> None:
     """Add a capsule as a cylinder and two spheres, which PyBullet renders more smoothly than its
     own capsule.
@@ -186,19 +190,19 @@ def add_shape(
         Xml.SubElement(shape, "material", name=material)
 
 
-def _size(solid: Solid) -> dict[str, str]:
+def _size(solid: Part) -> dict[str, str]:
     if isinstance(solid, Box):
         return {"size": text_of(solid.size)}
     return {"radius": text_of((solid.radius,)), "length": text_of((_length(solid),))}
 
 
-def _volume(solid: Solid) -> float:
+def _volume(solid: Part) -> float:
     if isinstance(solid, Box):
         return float(np.prod(solid.size))
     return np.pi * solid.radius**2 * (_length(solid) + 4 / 3 * solid.radius)
 
 
-def _inertia(solid: Solid, mass: float) -> Array:
+def _inertia(solid: Part, mass: float) -> Array:
     """Inertia of one solid about its own centre, axes of the link, shape (3, 3) [kg m²]."""
     if isinstance(solid, Box):
         return np.diag(principal_inertia("box", mass, solid.size))
@@ -208,7 +212,7 @@ def _inertia(solid: Solid, mass: float) -> Array:
     return across * np.eye(3) + (along - across) * np.outer(axis, axis)
 
 
-def _center(solid: Solid) -> Array:
+def _center(solid: Part) -> Array:
     return (
         np.array(solid.center)
         if isinstance(solid, Box)
@@ -225,12 +229,77 @@ def _axis(capsule: Capsule) -> Array:
     return np.subtract(capsule.end, capsule.start) / length if length else np.array([0.0, 0.0, 1.0])
 
 
-def _rpy(solid: Solid) -> Vector:
+def _rpy(solid: Part) -> Vector:
     """Roll, pitch and zero yaw [rad] that rotate +z onto the solid's long axis."""
     if isinstance(solid, Box):
         return (0.0, 0.0, 0.0)
     x, y, z = _axis(solid)
     return (float(-np.arcsin(y)), float(np.arctan2(x, z)), 0.0)
+
+
+def object_urdf(model: ObjectModel) -> str:
+    """An object as URDF text: one link, with the same shapes for display and collision."""
+    robot = Xml.Element("robot", name=model.name)
+    Xml.SubElement(
+        Xml.SubElement(robot, "material", name="surface"), "color", rgba=text_of(model.color)
+    )
+    link = Xml.SubElement(robot, "link", name=model.name)
+    add_inertial(link, model.center_of_mass, model.inertia, model.mass)
+    for index, solid in enumerate(model.solids):
+        place = solid.center, _rpy_of(solid.rotation)
+        form, size = _form(solid, index)
+        add_shape(link, "visual", *place, form, size, "surface")
+        add_shape(link, "collision", *place, form, size)
+    Xml.indent(robot)
+    return HEADER + Xml.tostring(robot, encoding="unicode") + "\n"
+
+
+@cache
+def object_urdf_file(model: ObjectModel) -> Path:
+    """URDF file of an object, a temporary one for this process."""
+    folder = Path(tempfile.mkdtemp(dir=_folder().name))
+    for index, solid in enumerate(model.solids):
+        if solid.hull is not None:
+            corners = "".join(f"v {text_of(corner)}\n" for corner in solid.hull.vertices)
+            faces = "".join(f"f {a} {b} {c}\n" for a, b, c in solid.hull.faces + 1)
+            (folder / _mesh_name(index)).write_text(corners + faces, encoding="utf-8")
+    path = folder / f"{model.name}.urdf"
+    path.write_text(object_urdf(model), encoding="utf-8")
+    return path
+
+
+@cache
+def _folder() -> tempfile.TemporaryDirectory:
+    return tempfile.TemporaryDirectory(prefix="hpac_objects_")
+
+
+def _mesh_name(index: int) -> str:
+    return f"hull_{index}.obj"
+
+
+def _form(solid: Solid, index: int) -> tuple[str, dict[str, str]]:
+    if solid.kind == "hull":
+        return "mesh", {"filename": _mesh_name(index)}
+    if solid.kind == "box":
+        return "box", {"size": text_of(solid.size)}
+    if solid.kind == "sphere":
+        return "sphere", {"radius": text_of([solid.radius])}
+    length = solid.size[2] - (2 * solid.radius if solid.kind == "capsule" else 0.0)
+    return solid.kind, {"radius": text_of([solid.radius]), "length": text_of([length])}
+
+
+def _rpy_of(rotation: Array) -> tuple[float, float, float]:
+    """Roll, pitch and yaw of a rotation matrix, Rz(yaw) Ry(pitch) Rx(roll); pitch within ±π/2
+    [rad].
+    """
+    pitch = np.arcsin(-np.clip(rotation[2, 0], -1.0, 1.0))
+    if abs(rotation[2, 0]) > 1 - 1e-12:
+        return 0.0, float(pitch), float(np.arctan2(-rotation[0, 1], rotation[1, 1]))
+    return (
+        float(np.arctan2(rotation[2, 1], rotation[2, 2])),
+        float(pitch),
+        float(np.arctan2(rotation[1, 0], rotation[0, 0])),
+    )
 
 
 def text_of(values: Iterable[float], digits: int = 9) -> str:

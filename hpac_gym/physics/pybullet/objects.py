@@ -7,8 +7,8 @@ import pybullet
 from numpy.typing import ArrayLike
 
 from hpac_gym.body.object_models import ObjectModel
-from hpac_gym.body.object_urdf import object_urdf_file
 from hpac_gym.body.objects import ObjectSpec
+from hpac_gym.body.urdf import object_urdf_file
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import OBJECT_COLORS
 from hpac_gym.physics.pybullet.world import World
