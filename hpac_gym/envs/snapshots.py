@@ -3,6 +3,7 @@
 A class with state has the attribute `changing`: the names of its attributes that change in an episode,
 which are arrays, numbers, generators, or further objects with such names."""
 
+import pickle
 from collections.abc import Callable, Iterator
 from copy import deepcopy
 from dataclasses import is_dataclass
@@ -55,7 +56,8 @@ def restore_episode(episodes: Any, snapshot: Any) -> None:
 
 
 def undeclared(owner: Any, act: Callable[[], object]) -> list[str]:
-    """Attributes of an object and its parts that `act` changes although no class names them.
+    """Attributes of an object and its parts that `act` changes and that `restore` does not put back,
+    since no class names them.
 
     For tests of a task: a snapshot without them would not continue as the episode did.
 
@@ -63,33 +65,23 @@ def undeclared(owner: Any, act: Callable[[], object]) -> list[str]:
         owner: the object, such as `HandEnv.episodes`.
         act: changes it, as the steps of an episode do.
     """
-    before = {path: deepcopy(value) for path, _, value in _contents(owner, "", [])}
+    before = dict(_contents(owner, "", []))
+    saved = save(owner)
     act()
-    named = set(_named(owner))
-    return [
-        path
-        for path, place, value in _contents(owner, "", [])
-        if place not in named and not _same(before.get(path), value)
-    ]
+    changed = save(owner)
+    restore(owner, saved)
+    after = dict(_contents(owner, "", []))
+    restore(owner, changed)
+    return [path for path, content in after.items() if before.get(path) != content]
 
 
 def _has_state(part: Any) -> bool:
     return isinstance(getattr(type(part), "changing", None), tuple)
 
 
-Place = tuple[int, str]
-"""Identity of an object, and the name of its attribute."""
-
-
-def _named(owner: Any) -> Iterator[Place]:
-    for name in owner.changing:
-        part = getattr(owner, name)
-        yield from _named(part) if _has_state(part) else [(id(owner), name)]
-
-
-def _contents(owner: Any, path: str, known: list[Any]) -> Iterator[tuple[str, Place, Any]]:
-    """Arrays, numbers and generators of an object and of its parts, except the engine and what is
-    known.
+def _contents(owner: Any, path: str, known: list[Any]) -> Iterator[tuple[str, bytes]]:
+    """Arrays, numbers and generators of an object and of its parts, as bytes by their paths, except
+    the engine and what is known.
     """
     known.append(owner)
     for name, value in vars(owner).items():
@@ -98,22 +90,10 @@ def _contents(owner: Any, path: str, known: list[Any]) -> Iterator[tuple[str, Pl
             isinstance(value, list | dict)
             and all(isinstance(entry, np.ndarray | np.random.Generator) for entry in entries)
         ):
-            yield path + name, (id(owner), name), value
+            yield path + name, pickle.dumps(value)
         elif (
             hasattr(value, "__dict__")
             and name != "engine"
             and not (callable(value) or is_dataclass(value) or any(value is one for one in known))
         ):
             yield from _contents(value, f"{path}{name}.", known)
-
-
-def _same(one: Any, other: Any) -> bool:
-    if one is None:
-        return False
-    if isinstance(one, np.random.Generator):
-        return one.bit_generator.state == other.bit_generator.state
-    if isinstance(one, dict):
-        return one.keys() == other.keys() and all(_same(one[name], other[name]) for name in one)
-    if isinstance(one, list):
-        return len(one) == len(other) and all(map(_same, one, other))
-    return np.array_equal(one, other, equal_nan=np.asarray(one).dtype.kind == "f")
