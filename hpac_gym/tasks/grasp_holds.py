@@ -86,23 +86,18 @@ class Look:
         beyond_root = np.array([link in _BEYOND_ROOT for link in self.links], bool)
         return down[(self.point[:, 2] > button) & beyond_root].sum()
 
-    def poses(self, digit: str) -> list[tuple[Array, Array]]:
-        """Position and rotation of a digit's links in the hand frame."""
+    def poses(self, digit: str) -> dict[str, tuple[Array, Array]]:
+        """Position and rotation of a digit's links in the hand frame, by name."""
         body = _GEOMETRY.digit(digit)
-        return link_poses(
-            body, self.joint_pos[[JOINT_INDEX[phalanx.joint] for phalanx in body.phalanges]]
-        )
-
-    def frames(self, digit: str) -> list[tuple[str, Array]]:
-        """Name and rotation in the hand frame of a digit's links."""
-        links = (phalanx.link for phalanx in _GEOMETRY.digit(digit).phalanges)
-        return [(link, turn) for link, (_, turn) in zip(links, self.poses(digit), strict=True)]
+        joints = self.joint_pos[[JOINT_INDEX[phalanx.joint] for phalanx in body.phalanges]]
+        links = [phalanx.link for phalanx in body.phalanges]
+        return dict(zip(links, link_poses(body, joints), strict=True))
 
     def through(self, hole: Hole, digit: str) -> float:
         """1 if one of the last two links is in the opening and the digit touches, 0.4 without
         touch, up to 0.3 for a miss.
         """
-        poses = self.poses(digit)
+        poses = list(self.poses(digit).values())
         tip = poses[-1][0] + poses[-1][1] @ (0.0, 0.0, _GEOMETRY.digit(digit).phalanges[-1].length)
         places = (np.array([place for place, _ in poses] + [tip]) - self.centre) @ self.rotation
         if any(hole.hit(start, end) for start, end in itertools.pairwise(places[1:])):
@@ -182,10 +177,11 @@ class Hold:
         """
         force = side = 0.0
         for now in self.looks:
-            frames = dict(now.frames(finger))
+            poses = now.poses(finger)
             for link, push, normal in zip(now.links, now.force, now.normal, strict=True):
-                if link in frames:
-                    lateral = abs((now.rotation @ normal) @ frames[link][:, 1]) > np.sqrt(0.5)
+                if link in poses:
+                    hinge = poses[link][1][:, 1]
+                    lateral = abs((now.rotation @ normal) @ hinge) > np.sqrt(0.5)
                     force = force + push
                     side = side + push * lateral
         return side / force if force > 0 else 0.0

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpac_gym.model import HPAC, SERVO_INDEX, action_from_synergy
+from hpac_gym.model.checks import Array
 from hpac_gym.tasks.grasp_data import NamedGrasp
 from hpac_gym.tasks.phases import CONTROL_HZ, PickPlaceTimetable
 from hpac_gym.tasks.terms import LENGTH_UNIT, Layout, Term
@@ -30,6 +31,9 @@ PLACE_OPPOSED = 1.04
 """Closure for pick and place: duration from open to closed [s], fraction of the fingers' full
 closure, MP of the closed thumb [rad] and constant CMC [rad]; a hand that closes less releases
 sooner."""
+
+_FINGERS = slice(1, -1)
+"""Entries of the four fingers in a synergy."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,11 +97,8 @@ class ScriptedClosure(Script):
         if self._grasp is not None:
             synergy = self._grasp.preshape + share * (self._grasp.closed - self._grasp.preshape)
             return action_from_synergy(synergy).astype(np.float32)
-        closed = HPAC.synergy_max.copy()
-        closed[SERVO_INDEX["thumb_mp"]] = THUMB_CLOSED
-        synergy = closed * share
-        synergy[SERVO_INDEX["thumb_cmc"]] = THUMB_OPPOSED
-        return action_from_synergy(synergy).astype(np.float32)
+        fingers = share * HPAC.synergy_max[_FINGERS]
+        return _action(fingers, share * THUMB_CLOSED, THUMB_OPPOSED)
 
 
 class ScriptedGraspAny(Script):
@@ -111,7 +112,7 @@ class ScriptedGraspAny(Script):
 
     def __init__(self, terms: Sequence[Term], wrist: int = 0) -> None:
         self._slices = Layout(terms, 1).slices
-        self._wrist = np.zeros(wrist)
+        self._wrist = np.zeros(wrist, np.float32)
 
     def act(self, observation: NDArray[np.float32] | dict[str, NDArray]) -> NDArray[np.float32]:
         """The next action; it uses only the first observation of an episode, and does not move a
@@ -122,18 +123,12 @@ class ScriptedGraspAny(Script):
             self._closure = ANY_CLOSURES[self.kind(vector)]
         self._time += 1 / CONTROL_HZ
         closure = self._closure
-        synergy = np.zeros(len(SERVO_INDEX))
-        closed = np.minimum(closure.fingers, HPAC.synergy_max)
-        synergy[1:-1] = (
-            closed * min(max(self._time - max(-closure.thumb_later, 0.0), 0.0) / closure.time, 1.0)
-        )[1:-1]
+        fingers = np.minimum(closure.fingers, HPAC.synergy_max[_FINGERS])
+        fingers *= min(max(self._time - max(-closure.thumb_later, 0.0), 0.0) / closure.time, 1.0)
         share = min(max(self._time - max(closure.thumb_later, 0.0), 0.0) / THUMB_TIME, 1.0)
-        synergy[SERVO_INDEX["thumb_mp"]] = closure.thumb * share
-        share = min(self._time / OPPOSED_TIME, 1.0)
-        synergy[SERVO_INDEX["thumb_cmc"]] = (
-            THUMB_OPPOSED + (closure.opposed - THUMB_OPPOSED) * share
-        )
-        return np.append(action_from_synergy(synergy), self._wrist).astype(np.float32)
+        turned = min(self._time / OPPOSED_TIME, 1.0)
+        opposed = THUMB_OPPOSED + (closure.opposed - THUMB_OPPOSED) * turned
+        return np.append(_action(fingers, closure.thumb * share, opposed), self._wrist)
 
     def kind(self, vector: NDArray[np.float32]) -> tuple[bool, int]:
         """Whether the hand is beside the object, and the index of its width along the fingers in
@@ -170,9 +165,19 @@ class ScriptedPickPlace(Script):
     def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
         """The next action, shape (6,); the observation is ignored."""
         self._time += 1 / CONTROL_HZ
-        closed = PLACE_CLOSED * HPAC.synergy_max
-        closed[SERVO_INDEX["thumb_mp"]] = PLACE_THUMB
         share = min(max((self._time - self._close) / PLACE_TIME, 0.0), 1.0)
-        synergy = closed * (share if self._time < self._open else 0.0)
-        synergy[SERVO_INDEX["thumb_cmc"]] = PLACE_OPPOSED
-        return action_from_synergy(synergy).astype(np.float32)
+        if self._time >= self._open:
+            share = 0.0
+        fingers = PLACE_CLOSED * HPAC.synergy_max[_FINGERS] * share
+        return _action(fingers, share * PLACE_THUMB, PLACE_OPPOSED)
+
+
+def _action(fingers: Array, thumb: float, opposed: float) -> NDArray[np.float32]:
+    """The action for MCP of the fingers, shape (4,), and MP and CMC of the thumb [rad], shape
+    (6,).
+    """
+    synergy = np.zeros(len(SERVO_INDEX))
+    synergy[_FINGERS] = fingers
+    synergy[SERVO_INDEX["thumb_mp"]] = thumb
+    synergy[SERVO_INDEX["thumb_cmc"]] = opposed
+    return action_from_synergy(synergy).astype(np.float32)
