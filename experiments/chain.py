@@ -7,17 +7,17 @@ zero of the servo, the geometry of all hands is the nominal one, and camera and 
 `experiments.reference`."""
 
 import json
-import os
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from experiments.held_out import truth as held_out_truth
 from experiments.populations import geometry, varied_hand
+from experiments.results import add_workers_and_out, percent, write_results
 from experiments.rig import Rig
 from hpac_gym.body.hands import hand_set
 from hpac_gym.calibration.identification import identify
@@ -30,12 +30,12 @@ from hpac_gym.evaluation.evaluate import run_block
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import paired_difference, success_counts
 from hpac_gym.evaluation.workers import shared
-from hpac_gym.figures import save
+from hpac_gym.figures import new_figure, save
 from hpac_gym.model import HPAC, SERVOS, Hand, joints_from_synergy, load_hand
 from hpac_gym.model.calibration import Calibration
 from hpac_gym.model.maps import CommandMap
 from hpac_gym.model.settled import settled_joints_from_servo
-from hpac_gym.output import OutputError, markdown, read_text, writable_file, write_text
+from hpac_gym.output import OutputError, markdown, read_text, writable_file
 from hpac_gym.physics.stand import HAND
 from hpac_gym.registration import GRASP
 
@@ -61,9 +61,6 @@ SLACK = 1e-3
 OUT = Path("docs/results/experiments/chain.json")
 COLOURS = ("#999999", "#e69f00", "#0072b2", "#56b4e9")
 """Of the models: told apart by colour-blind people too."""
-
-Hands = list[tuple[Hand, Hand]]
-"""True hands and the files that were made of their sweeps."""
 
 
 def nominal_hand(_: int) -> Hand:
@@ -149,53 +146,44 @@ def posture_error_deg(hand: Hand, model: Hand, synergy: Sequence[float]) -> floa
 
 
 def trials(
-    engine: str, population: str, seed: int, hand: Hand, file: Hand, grasps: Sequence[str]
-) -> list[tuple[str, str, str, str, int, bool, float]]:
-    """One episode of every grasp with every model on one hand."""
+    engine: str, population: str, seed: int, hand: Hand, file: Hand, grasp: str
+) -> list[tuple[str, str, str, str, bool, float]]:
+    """One episode of a grasp with every model on one hand."""
     rows = []
     for name, model in models(hand, file).items():
-        for grasp in grasps:
-            options = {"grasp": grasp, "engine": engine, "hand": hand, "model": model}
-            ((episode,),) = run_block(["scripted"], GRASP, options, [HELD_OUT_SEED + seed])
-            error = posture_error_deg(hand, model, GRASPS[grasp].closed)
-            rows.append((engine, population, grasp, name, seed, episode.success, error))
+        options = {"grasp": grasp, "engine": engine, "hand": hand, "model": model}
+        ((episode,),) = run_block(["scripted"], GRASP, options, [HELD_OUT_SEED + seed])
+        error = posture_error_deg(hand, model, GRASPS[grasp].closed)
+        rows.append((engine, population, grasp, name, episode.success, error))
     return rows
 
 
 def summary(rows: Sequence[tuple]) -> list[dict]:
     """Success with its interval, difference to the nominal map, and posture error, for every engine,
-    population, group of grasps and model.
+    population, group of grasps and model. The rows of all models are of the same episodes.
     """
     cells = []
     groups = {"all": TYPES, **{grasp: (grasp,) for grasp in TYPES}}
-    for engine in ENGINES:
-        for population in POPULATIONS:
-            for group, grasps in groups.items():
-                known = {
-                    (model, grasp, seed): (held, error)
-                    for at, of, grasp, model, seed, held, error in rows
-                    if at == engine and of == population and grasp in grasps
+    for engine, population, group in product(ENGINES, POPULATIONS, groups):
+        found: dict[str, list[tuple[bool, float]]] = {}
+        for at, of, grasp, model, held, error in rows:
+            if at == engine and of == population and grasp in groups[group]:
+                found.setdefault(model, []).append((held, error))
+        for model, mine in found.items():
+            held, errors = zip(*mine, strict=True)
+            gain, *interval = paired_difference(held, (nominal for nominal, _ in found[MODELS[0]]))
+            cells.append(
+                {
+                    "engine": engine,
+                    "hands": population,
+                    "grasp": group,
+                    "model": model,
+                    **success_counts(sum(held), len(held)),
+                    "gain": gain,
+                    "gain_95": interval,
+                    "posture_error_deg": float(np.mean(errors)),
                 }
-                for model in MODELS:
-                    mine = [(key, value) for key, value in known.items() if key[0] == model]
-                    if not mine:
-                        continue
-                    gain, *interval = paired_difference(
-                        (held for _, (held, _) in mine),
-                        (known[MODELS[0], *key[1:]][0] for key, _ in mine),
-                    )
-                    cells.append(
-                        {
-                            "engine": engine,
-                            "hands": population,
-                            "grasp": group,
-                            "model": model,
-                            **success_counts(sum(held for _, (held, _) in mine), len(mine)),
-                            "gain": gain,
-                            "gain_95": interval,
-                            "posture_error_deg": float(np.mean([error for _, (_, error) in mine])),
-                        }
-                    )
+            )
     return cells
 
 
@@ -203,25 +191,19 @@ def cell_table(cells: Sequence[Mapping], engine: str, group: str = "all") -> str
     """One engine's cells as a table: populations by models."""
     rows = []
     for population in POPULATIONS:
-        row = [population]
-        for model in MODELS:
-            cell = next(
-                cell
-                for cell in cells
-                if (cell["engine"], cell["hands"], cell["grasp"], cell["model"])
-                == (engine, population, group, model)
-            )
-            low, high = cell["interval_95"]
-            row.append(
-                f"{cell['success_rate']:.0%} [{100 * low:.0f}, {100 * high:.0f}], {cell['posture_error_deg']:.1f}°"
-            )
-        rows.append(tuple(row))
+        where = (engine, population, group)
+        texts = [
+            f"{cell['success_rate']:.0%} {percent(cell['interval_95'], '.0f')}, {cell['posture_error_deg']:.1f}°"
+            for cell in cells
+            if (cell["engine"], cell["hands"], cell["grasp"]) == where
+        ]
+        rows.append((population, *texts))
     return markdown(("hands", *MODELS), rows)
 
 
 def draw(cells: Sequence[Mapping], path: Path) -> None:
     """Success of all grasps with its interval, and posture error below, one column an engine."""
-    figure = Figure(figsize=(11, 5.6), layout="constrained")
+    figure = new_figure(11, 5.6)
     axes = figure.subplots(2, len(ENGINES), sharex=True, sharey="row", height_ratios=(3, 2))
     for column, engine in enumerate(ENGINES):
         upper, lower = axes[:, column]
@@ -251,8 +233,7 @@ def main(argv: list[str] | None = None) -> int:
     """Calibrate the hands, run the grasps, print a table an engine, write the cells; or draw them."""
     parser = command_parser("experiments.chain", __doc__)
     parser.add_argument("--hands", type=whole_number(1), default=42, help="hands of each kind")
-    parser.add_argument("--workers", type=whole_number(1), default=os.cpu_count() or 1)
-    parser.add_argument("--out", type=Path, default=OUT, metavar="JSON")
+    add_workers_and_out(parser, OUT)
     parser.add_argument("--draw", type=Path, metavar="PNG", help="only draw the cells of --out")
     arguments = parser.parse_args(argv)
     if arguments.draw:
@@ -260,31 +241,16 @@ def main(argv: list[str] | None = None) -> int:
         return 0
     writable_file(arguments.out)
     wanted = [(kind, seed) for kind in POPULATIONS for seed in range(arguments.hands)]
-    hands: dict[tuple[str, int], tuple[Hand, Hand]] = {}
-    refused: list[str] = []
-    pairs = shared(_calibrated, wanted, arguments.workers, "calibrating")
-    for (kind, seed), pair in zip(wanted, pairs, strict=True):
-        if pair is None:
-            refused.append(f"{kind} {seed}")
-        else:
-            hands[kind, seed] = pair
-    jobs = [
-        (engine, kind, seed, hand, file, (grasp,))
-        for engine in ENGINES
-        for (kind, seed), (hand, file) in hands.items()
-        for grasp in TYPES
+    pairs = list(shared(_calibrated, wanted, arguments.workers, "calibrating"))
+    hands = [(*one, *pair) for one, pair in zip(wanted, pairs, strict=True) if pair]
+    refused = [
+        f"{kind} {seed}" for (kind, seed), pair in zip(wanted, pairs, strict=True) if not pair
     ]
+    jobs = [(engine, *hand, grasp) for engine in ENGINES for hand in hands for grasp in TYPES]
     rows = [row for found in shared(trials, jobs, arguments.workers, "grasping") for row in found]
     cells = summary(rows)
-    text = json.dumps(
-        {
-            "command": f"python -m experiments.chain --hands {arguments.hands}",
-            "refused": refused,
-            "cells": cells,
-        },
-        indent=1,
-    )
-    write_text(arguments.out, text + "\n")
+    words = f"chain --hands {arguments.hands}"
+    write_results(arguments.out, words, refused=refused, cells=cells)
     for engine in ENGINES:
         print(f"{engine}\n\n{cell_table(cells, engine)}\n")
         for grasp in TYPES:

@@ -7,7 +7,6 @@ object with the same error of the camera, that of the environment's first look, 
 the last row, a good link, the wire has noise of its own, averaged as `hpac deploy` averages it."""
 
 import json
-import os
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
@@ -18,7 +17,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from experiments.results import percent
+from experiments.results import add_workers_and_out, percent, write_results
 from hpac_gym.bridge import BridgeError, HandLink, HostBoard, StreamCounts
 from hpac_gym.command import command_parser, run, whole_number
 from hpac_gym.deploy.episode import WATCHDOG, Log, run_episode
@@ -33,7 +32,7 @@ from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import paired_difference, success_counts
 from hpac_gym.evaluation.workers import shared
 from hpac_gym.model import HPAC
-from hpac_gym.output import markdown, write_text
+from hpac_gym.output import markdown
 from hpac_gym.policies.loading import load_policy
 from hpac_gym.tasks.cameras import CameraNoise
 from hpac_gym.tasks.task import CONTROL_HZ, SUCCESS
@@ -196,8 +195,7 @@ def main(argv: list[str] | None = None) -> int:
     )
     parser.add_argument("--policy", default="grasp")
     parser.add_argument("--episodes", type=whole_number(1), default=1000, help="for each link")
-    parser.add_argument("--workers", type=whole_number(1), default=os.cpu_count() or 1)
-    parser.add_argument("--out", type=Path, default=OUT, metavar="JSON")
+    add_workers_and_out(parser, OUT)
     arguments = parser.parse_args(argv)
     if arguments.real_time:
         print(json.dumps(in_real_time(arguments.real_time)))
@@ -212,8 +210,8 @@ def main(argv: list[str] | None = None) -> int:
         for name, *row in rows:
             by_link[name].append(tuple(row))
     cells = summary(by_link)
-    command = f"python -m experiments.deployed --policy {arguments.policy} --episodes {arguments.episodes}"
-    write_text(arguments.out, json.dumps({"command": command, "cells": cells}, indent=1) + "\n")
+    words = f"deployed --policy {arguments.policy} --episodes {arguments.episodes}"
+    write_results(arguments.out, words, cells=cells)
     print(deployed_table(cells))
     return 0
 

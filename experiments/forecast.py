@@ -10,7 +10,6 @@ Files and rows are kept, and a later run continues them."""
 
 import json
 import sys
-import time
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -19,10 +18,11 @@ from typing import Any
 import numpy as np
 
 from experiments.chain import slack_hand, swept
+from experiments.results import write_results
 from hpac_gym.calibration.calibrate import named
 from hpac_gym.calibration.identification import identify
 from hpac_gym.calibration.posterior import read_draws, write_draws
-from hpac_gym.command import command_parser, minutes, run, whole_number
+from hpac_gym.command import command_parser, run, whole_number
 from hpac_gym.evaluation.evaluate import run_block
 from hpac_gym.evaluation.forecast import Forecast, forecast
 from hpac_gym.evaluation.statistics import wilson_interval
@@ -148,15 +148,6 @@ def main(argv: list[str] | None = None) -> int:
     """Continue the file row by row, and print the table of the rows that it has."""
     parser = command_parser("experiments.forecast", __doc__)
     parser.add_argument("--hands", type=whole_number(1), default=40, help="hidden hands")
-    parser.add_argument(
-        "--first", type=whole_number(0), default=FIRST_HAND, help="seed of the first"
-    )
-    parser.add_argument(
-        "--time-limit",
-        type=minutes,
-        default=float("inf"),
-        help="begin no hand after so many minutes",
-    )
     parser.add_argument("--out", type=Path, default=OUT, metavar="JSON")
     arguments = parser.parse_args(argv)
     text: dict[str, Any] = {"without_a_sweep": {}, "rows": []}
@@ -165,22 +156,14 @@ def main(argv: list[str] | None = None) -> int:
     rows = text["rows"]
     without = text["without_a_sweep"]
     known = {row["seed"] for row in rows}
-    seeds = range(arguments.first, arguments.first + arguments.hands)
+    seeds = range(FIRST_HAND, FIRST_HAND + arguments.hands)
     wanted = [seed for seed in seeds if seed not in known]
-    deadline = time.monotonic() + 60 * arguments.time_limit
     for seed in progress(wanted, "hidden hands"):
-        if time.monotonic() > deadline:
-            break
         if CASE not in without:
             without[CASE] = controls()
         rows.append(row_of(seed))
-        told = {
-            "command": f"python -m experiments.forecast --hands {len(rows)}",
-            "cells": summary(rows, without),
-            "without_a_sweep": without,
-            "rows": rows,
-        }
-        write_text(arguments.out, json.dumps(told, indent=1) + "\n")
+        told = {"cells": summary(rows, without), "without_a_sweep": without, "rows": rows}
+        write_results(arguments.out, f"forecast --hands {len(rows)}", **told)
     print(table(summary(rows, without)))
     return 0
 

@@ -4,8 +4,6 @@ The same episodes of a policy on the nominal hand, on hands of a workshop before
 calibration, and with one cause at a time, in batches of worlds. The link is the batch's own ramp,
 which is what the firmware's pulses do (`tests/experiments/test_gap.py`)."""
 
-import json
-import os
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -14,16 +12,15 @@ from typing import Any
 import numpy as np
 
 from experiments.chain import calibrated
-from experiments.results import percent
+from experiments.results import add_workers_and_out, compared, percent, write_results
 from hpac_gym.bridge import pulses_from_servo, servo_from_pulses
 from hpac_gym.command import command_parser, run, whole_number
 from hpac_gym.evaluation.episodes import run_episodes, worlds
 from hpac_gym.evaluation.evaluate import env_id_of
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
-from hpac_gym.evaluation.statistics import paired_difference, success_counts
 from hpac_gym.evaluation.workers import shared
 from hpac_gym.model.checks import Array
-from hpac_gym.output import markdown, write_text
+from hpac_gym.output import markdown
 from hpac_gym.physics.simulation import Simulation
 from hpac_gym.policies import Policy
 from hpac_gym.policies.loading import load_policy
@@ -155,8 +152,7 @@ def main(argv: list[str] | None = None) -> int:
     parser = command_parser("experiments.gap", __doc__)
     parser.add_argument("--policy", default="grasp")
     parser.add_argument("--episodes", type=whole_number(BATCH), default=240, help="for each row")
-    parser.add_argument("--workers", type=whole_number(1), default=os.cpu_count() or 1)
-    parser.add_argument("--out", type=Path, default=OUT, metavar="JSON")
+    add_workers_and_out(parser, OUT)
     arguments = parser.parse_args(argv)
     blocks = arguments.episodes // BATCH
     jobs = [
@@ -168,13 +164,9 @@ def main(argv: list[str] | None = None) -> int:
     batches = shared(episodes, jobs, arguments.workers, "batches")
     for (_, row, *_), found in zip(jobs, batches, strict=True):
         held[row] += found
-    cells = []
-    for row, mine in held.items():
-        gain, *interval = paired_difference(mine, held[NOMINAL])
-        counts = success_counts(sum(mine), len(mine))
-        cells.append({"row": row, **counts, "difference": gain, "difference_95": interval})
-    command = f"python -m experiments.gap --policy {arguments.policy} --episodes {blocks * BATCH}"
-    write_text(arguments.out, json.dumps({"command": command, "cells": cells}, indent=1) + "\n")
+    cells = [{"row": row, **compared(mine, held[NOMINAL])} for row, mine in held.items()]
+    words = f"gap --policy {arguments.policy} --episodes {blocks * BATCH}"
+    write_results(arguments.out, words, cells=cells)
     print(gap_table(cells))
     return 0
 

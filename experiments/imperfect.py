@@ -1,16 +1,15 @@
 """`hpac calibrate` on two sweeps of each of some hands that lack nothing of what a workshop's hand may
 have: ``python -m experiments.imperfect``."""
 
-import json
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from experiments.imperfect_hands import SEED, ImperfectHand, Session, swept
-from experiments.results import Column, Interval, range_of, rows_of, table
+from experiments.results import Column, Interval, range_of, rows_of, table, write_results
 from hpac_gym.calibration.doubts import doubts
 from hpac_gym.calibration.file_errors import BOUND, check_errors, expected_worst_deg, file_errors
 from hpac_gym.calibration.fitting import IdentificationError
@@ -23,7 +22,7 @@ from hpac_gym.model import HPAC, JOINT_INDEX, SERVOS, Hand
 from hpac_gym.model.checks import Array
 from hpac_gym.model.files import hand_from_toml, hand_to_toml
 from hpac_gym.model.settled import settled_joints_from_servo, settled_servo_from_synergy
-from hpac_gym.output import writable_file, write_text
+from hpac_gym.output import writable_file
 from hpac_gym.progress import progress
 
 CHOSEN_ON = 1000
@@ -158,15 +157,8 @@ def main(argv: list[str] | None = None) -> int:
     refused = [
         f"{name} {hand.seed}" for name in judged_by for hand in judged_by[name] if hand.refused
     ]
-    command = f"python -m experiments.imperfect --hands {arguments.hands}"
-    data = {
-        "command": command,
-        "bound": BOUND,
-        "refused": refused,
-        "rows": rows,
-        "hands": judged_by,
-    }
-    write_text(arguments.out, json.dumps(data, indent=1, default=asdict) + "\n")
+    data = {"bound": BOUND, "refused": refused, "rows": rows, "hands": judged_by}
+    write_results(arguments.out, f"imperfect --hands {arguments.hands}", **data)
     print(f"{table('protocol', COLUMNS, rows)}\n\nrefused: {', '.join(refused) or 'none'}")
     print(f"written to {arguments.out}")
     return 0

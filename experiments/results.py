@@ -1,7 +1,11 @@
 """Results of the experiments: means and ranges, Markdown tables, JSON data, and figures."""
 
+import argparse
+import json
+import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,7 +14,9 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 from numpy.typing import ArrayLike
 
-from hpac_gym.output import markdown
+from hpac_gym.command import whole_number
+from hpac_gym.evaluation.statistics import paired_difference, success_counts
+from hpac_gym.output import markdown, write_text
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +50,15 @@ def mean_of(values: ArrayLike) -> Interval:
             stats.t.ppf(0.975, len(values) - 1) * values.std(ddof=1) / np.sqrt(len(values))
         )
     return Interval(centre, centre - half, centre + half)
+
+
+def compared(held: Sequence[bool], others: Sequence[bool]) -> dict[str, Any]:
+    """Counts of successes, as of `success_counts`, and the difference from others over the same
+    episodes.
+    """
+    difference, *interval = paired_difference(held, others)
+    counts = success_counts(sum(held), len(held))
+    return {**counts, "difference": difference, "difference_95": interval}
 
 
 def percent(bounds: Sequence[float], form: str = ".1f") -> str:
@@ -104,3 +119,21 @@ def log_ticks(axis: Axis, ticks: Sequence[float]) -> None:
     axis.axes.set(**{f"{axis.axis_name}scale": "log"})
     axis.set_ticks(ticks, [f"{tick:g}" for tick in ticks])
     axis.set_minor_locator(NullLocator())
+
+
+def add_workers_and_out(parser: argparse.ArgumentParser, out: Path) -> None:
+    """The arguments ``--workers`` and ``--out`` of an experiment that runs episodes."""
+    parser.add_argument("--workers", type=whole_number(1), default=os.cpu_count() or 1)
+    parser.add_argument("--out", type=Path, default=out, metavar="JSON")
+
+
+def write_results(path: Path, words: str, **data: object) -> None:
+    """Write the data of an experiment as JSON, after its command.
+
+    Args:
+        path: the file.
+        words: of the command, after ``python -m experiments.``.
+        data: numbers, strings, lists, mappings and dataclasses, by name.
+    """
+    told = {"command": f"python -m experiments.{words}", **data}
+    write_text(path, json.dumps(told, indent=1, default=asdict) + "\n")

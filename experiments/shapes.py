@@ -4,21 +4,19 @@ Each is a few boxes, cylinders and spheres that were put together by hand for th
 things that people hold, and comes in the stable poses that drops find. Script and policies grasp
 each in the same episodes."""
 
-import json
-import os
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from experiments.results import add_workers_and_out, compared, write_results
 from hpac_gym.body.own_objects import own_object
 from hpac_gym.command import command_parser, run, whole_number
 from hpac_gym.evaluation.evaluate import run_block
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
-from hpac_gym.evaluation.statistics import paired_difference, success_counts
 from hpac_gym.evaluation.workers import shared
-from hpac_gym.output import markdown, write_text
+from hpac_gym.output import markdown
 from hpac_gym.policies.loading import needed_options
 from hpac_gym.registration import GRASP_ANY
 
@@ -175,8 +173,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--policy", nargs="+", default=["grasp-any", "grasp-any-wrist"])
     parser.add_argument("--body", choices=("twin", "light"), default="twin")
     parser.add_argument("--episodes", type=whole_number(1), default=50, help="of each shape")
-    parser.add_argument("--workers", type=whole_number(1), default=os.cpu_count() or 1)
-    parser.add_argument("--out", type=Path, default=OUT, metavar="JSON")
+    add_workers_and_out(parser, OUT)
     arguments = parser.parse_args(argv)
     names = [SCRIPTED, *arguments.policy]
     jobs = [(name, shape, arguments.body, arguments.episodes) for name in names for shape in SHAPES]
@@ -185,9 +182,9 @@ def main(argv: list[str] | None = None) -> int:
     for (name, shape, *_), found in zip(jobs, done, strict=True):
         held[name][shape] = found
     cells = [_cell(name, held[name], held[SCRIPTED]) for name in names]
-    words = f"--body {arguments.body} --episodes {arguments.episodes}"
-    command = f"python -m experiments.shapes --policy {' '.join(arguments.policy)} {words}"
-    write_text(arguments.out, json.dumps({"command": command, "cells": cells}, indent=1) + "\n")
+    options = f"--body {arguments.body} --episodes {arguments.episodes}"
+    words = f"shapes --policy {' '.join(arguments.policy)} {options}"
+    write_results(arguments.out, words, cells=cells)
     rows = [
         (cell["policy"], f"{cell['success_rate']:.1%}", f"{100 * cell['difference']:+.1f}")
         for cell in cells
@@ -201,15 +198,8 @@ def _cell(
 ) -> dict[str, Any]:
     """A policy's successes, by shape and in all, and its difference from the script."""
     mine, others = ([won for shape in SHAPES for won in part[shape]] for part in (held, script))
-    gain, *interval = paired_difference(mine, others)
-    counts = success_counts(sum(mine), len(mine))
-    return {
-        "policy": name,
-        **counts,
-        "difference": gain,
-        "difference_95": interval,
-        "shapes": {shape: sum(found) for shape, found in held.items()},
-    }
+    shapes = {shape: sum(found) for shape, found in held.items()}
+    return {"policy": name, **compared(mine, others), "shapes": shapes}
 
 
 if __name__ == "__main__":

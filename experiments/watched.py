@@ -6,7 +6,6 @@ pictures of the tags on its links from 0.3 m → angles → record → `hpac cal
 pieces of the print of the sheet (`experiments.pictures`) where the simulated links are, blurred by 0.6
 pixels, with noise of 3 grey values and an uneven light; the hand itself is not drawn."""
 
-import json
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from experiments.hidden import LAWS, hidden_hands
 from experiments.pictures import Piece, Pinhole
 from experiments.quasistatic import Built
+from experiments.results import write_results
 from experiments.rig import rig_of
 from experiments.strips import PROTOCOL, RATE_HZ, TOOTH, watched_sweep
 from hpac_gym.calibration.file_errors import check_errors
@@ -29,7 +29,6 @@ from hpac_gym.camera.poses import object_place
 from hpac_gym.command import command_parser, run, whole_number
 from hpac_gym.model import HPAC
 from hpac_gym.model.checks import Array
-from hpac_gym.output import write_text
 from hpac_gym.progress import progress
 
 OUT = Path("docs/results/experiments/watched.json")
@@ -115,23 +114,14 @@ def main(argv: list[str] | None = None) -> int:
                 "rotation_deg": quantiles(errors[:, 1]),
             }
         )
-    hands = [
-        swept_hand(built, seed + number)
-        for number, built in enumerate(hidden_hands(arguments.hands, seed, LAWS["laws of the fit"]))
-    ]
-    options = f"--pictures {arguments.pictures} --hands {arguments.hands} --seed {seed}"
-    text = {
-        "command": f"python -m experiments.watched {options}",
-        "objects": objects,
-        "hands": hands,
-        "thumbs": [
-            thumb_set_back(built, seed + number)
-            for number, built in enumerate(
-                hidden_hands(arguments.hands, seed, LAWS["laws of the fit"])
-            )
-        ],
-    }
-    write_text(arguments.out, json.dumps(text, indent=1) + "\n")
+    hidden = list(enumerate(hidden_hands(arguments.hands, seed, LAWS["laws of the fit"]), seed))
+    write_results(
+        arguments.out,
+        f"watched --pictures {arguments.pictures} --hands {arguments.hands} --seed {seed}",
+        objects=objects,
+        hands=[swept_hand(built, number) for number, built in hidden],
+        thumbs=[thumb_set_back(built, number) for number, built in hidden],
+    )
     print(arguments.out)
     return 0
 
