@@ -3,6 +3,7 @@
 import argparse
 import json
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -142,10 +143,8 @@ def draw(items: Sequence[Posture], path: Path, hand: Hand = HPAC) -> None:
 
 def picture(item: Posture, hand: Hand = HPAC) -> np.ndarray:
     """RGB of the simulated hand in a posture, shape (height, width, 3)."""
-    sim = take(item, hand, visuals=True)
-    seen = sim.simulation.engine.picture(0, SHEET_CAMERA, LOOK_AT)
-    sim.close()
-    return seen
+    with closing(take(item, hand, visuals=True)) as sim:
+        return sim.simulation.engine.picture(0, SHEET_CAMERA, LOOK_AT)
 
 
 def take(item: Posture, hand: Hand = HPAC, visuals: bool = False) -> HandOnStand:

@@ -70,10 +70,10 @@ class Segment:
         """
         # Only before the sweep is the digit surely at its stops: friction may hold it back afterwards.
         at_rest = np.logical_and.accumulate([phase == REST for phase, _ in self.labels])
-        turned = turns(self.seen, STRIPS[self.servo], lens, at_rest)
+        angles, misfit = turns(self.seen, STRIPS[self.servo], lens, at_rest)
         self.joint_pos = np.full((len(self.time), len(JOINTS)), np.nan)
-        self.joint_pos[:, [JOINT_INDEX[name] for name in CHAINS[self.servo][1:]]] = turned.joint_pos
-        return turned.misfit
+        self.joint_pos[:, [JOINT_INDEX[name] for name in CHAINS[self.servo][1:]]] = angles
+        return misfit
 
     def angles_from_file(self, path: Path) -> None:
         """Find the joint angles in the file of another program, by the time of the day.

@@ -6,7 +6,6 @@ square; then a picture leaves four unknowns a tag, its place and its turn, for e
 A turn in the picture's plane is what a camera sees best, and it does not flip."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -36,19 +35,9 @@ _FACING = np.diag([1.0, -1.0, -1.0])
 """A tag that faces the camera, upright, in the camera's frame (x right, y down, z forward)."""
 
 
-@dataclass(frozen=True, slots=True)
-class Turns:
-    """What the pictures of one sweep show."""
-
-    joint_pos: Array
-    """Angles of the joints, zero at rest, from the palm outwards, shape (pictures, tags − 1) [rad];
-    NaN where a tag is not seen.
-    """
-    misfit: float
-    """Median error of a tag's corners, root mean square [pixels]."""
-
-
-def turns(pictures: Sequence[Seen], tags: Sequence[Tag], lens: Lens, at_rest: Array) -> Turns:
+def turns(
+    pictures: Sequence[Seen], tags: Sequence[Tag], lens: Lens, at_rest: Array
+) -> tuple[Array, float]:
     """Angles of a digit's joints in the pictures of one sweep.
 
     The direction of flexion is that in which the last tag turns.
@@ -58,6 +47,11 @@ def turns(pictures: Sequence[Seen], tags: Sequence[Tag], lens: Lens, at_rest: Ar
         tags: the strip, that which stands still first.
         lens: the camera.
         at_rest: which pictures show the digit at rest, shape (pictures,).
+
+    Returns:
+        Angles of the joints, zero at rest, from the palm outwards, shape (pictures, tags − 1) [rad],
+        NaN where a tag is not seen; and the median error of a tag's corners, root mean square
+        [pixels].
 
     Raises:
         CameraError: Too few pictures show all tags, their corners do not fit, or the tag that must
@@ -105,7 +99,7 @@ def turns(pictures: Sequence[Seen], tags: Sequence[Tag], lens: Lens, at_rest: Ar
     joint_pos = _wrapped(np.diff(turn, axis=1))
     total = np.nansum(joint_pos, axis=1)
     sign = np.sign(total[np.argmax(np.abs(total))]) or 1.0
-    return Turns(sign * joint_pos, misfit)
+    return sign * joint_pos, misfit
 
 
 def _turned(seen: Array, half: Array, numbers: Array) -> tuple[Array, Array]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from hpac_gym.bridge import HostBoard, VirtualHand
 from hpac_gym.bridge.hands import VirtualTransport
-from hpac_gym.errors import ParameterError
+from hpac_gym.settings import check_bounds, setting
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,19 +24,17 @@ class Faults:
         ParameterError: A share that is not in [0, 1], or a delay that is not in [0, 10] s.
     """
 
-    loss: float = 0.0
+    loss: float = setting(0.0, bounds=(0.0, 1.0))
     """Share of the frames that are lost, in each direction."""
-    damage: float = 0.0
+    damage: float = setting(0.0, bounds=(0.0, 1.0))
     """Share of the frames of which one bit is flipped, in each direction."""
-    jitter: float = 0.0
+    jitter: float = setting(0.0, bounds=(0.0, 10.0), unit="s")
     """Longest delay of the host's frames, each drawn anew [s]."""
-    latency: float = 0.0
+    latency: float = setting(0.0, bounds=(0.0, 10.0), unit="s")
     """Delay of the hand's frames [s]."""
 
     def __post_init__(self) -> None:
-        for name, most in (("loss", 1.0), ("damage", 1.0), ("jitter", 10.0), ("latency", 10.0)):
-            if not 0 <= (value := getattr(self, name)) <= most:
-                raise ParameterError(f"{name} {value:g} must be in [0, {most:g}]")
+        check_bounds(self)
 
 
 class Way:

@@ -255,8 +255,8 @@ def test_a_board_that_restarts_when_its_port_is_opened_is_reached_over_a_bad_wir
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (["--loss", "2"], "loss 2 must be in [0, 1]"),
-        (["--latency", "-1"], "latency -1 must be in [0, 10]"),
+        (["--loss", "2"], "loss = 2.0 must be a number within [0, 1]"),
+        (["--latency", "-1"], "latency = -1.0 s must be a number within [0, 10] s"),
         (["--grasp", "none"], "no grasp 'none'"),
         (["--object", "ball"], "--object 'ball' is not one of"),
         (["--env", GRASP_ANY, "--grasp", "rod"], f"--grasp and --object are of {GRASP}"),
