@@ -45,14 +45,6 @@ PEER_PACKAGES = (
     "gymnasium==1.4.0",
     "numpy==2.4.6",
 )
-LEAST_ONE_OVER_PEERS = {"pybullet": 1.3, "mujoco": 2.0}
-"""Least ratio of a single environment's rate to that of the faster peer, by engine."""
-LEAST_OVER_PYBULLET = 2.1
-LEAST_OVER_PEERS = 3.0
-LEAST_THREADS = 1.8
-LEAST_ARITHMETIC = 1.9
-MOST_OUTSIDE = 0.10
-MOST_RESET_MS = 0.3
 
 Report = dict[str, Any]
 
@@ -215,78 +207,29 @@ def measure(
     }
 
 
-def marks(report: Report) -> list[tuple[str, float, str, bool | None]]:
-    """Requirements on the figures: name, figure, bound, and whether it is met; None if that cannot be
-    decided.
-    """
-    engines = report["engines"]
-    fastest = max(report["peers"].values(), default=None)
-    rows = [
-        _at_least(f"{name}, n = 1 over the faster peer", rates["1"] / fastest, least)
-        for name, least in LEAST_ONE_OVER_PEERS.items()
-        if fastest and "1" in (rates := _rates(engines, name))
-    ]
-    if not (rates := _rates(engines, "mujoco")):
-        return rows
-    batch = engines["mujoco"]
-    n = max(rates, key=int)
-    about = f"mujoco, n = {n}"
-    if slower := _rates(engines, "pybullet"):
-        ratio = rates[n] / max(slower.values())
-        rows.append(_at_least(f"{about} over pybullet's best", ratio, LEAST_OVER_PYBULLET))
-    if fastest:
-        rows.append(
-            _at_least(f"{about} over the faster peer", rates[n] / fastest, LEAST_OVER_PEERS)
-        )
-    arithmetic = report["two_processes_of_arithmetic"]
-    name = f"mujoco, two threads over one, arithmetic × {arithmetic:.2f}"
-    threads = _at_least(name, report["two_threads"], LEAST_THREADS)
-    rows.append(threads if arithmetic >= LEAST_ARITHMETIC else (*threads[:3], None))
-    outside = batch["outside_engine"][n]
-    rows.append(_at_most(f"{about}, share outside the engine", outside, MOST_OUTSIDE))
-    return rows + [
-        _at_most(f"mujoco, n = {n}, reset of a world [ms]", spent, MOST_RESET_MS)
-        for n, spent in batch["reset_ms"].items()
-    ]
-
-
-def _rates(engines: Report, name: str) -> dict[str, float]:
-    return engines[name]["env_steps_per_cpu_second"] if name in engines else {}
-
-
-def _at_least(name: str, figure: float, bound: float) -> tuple[str, float, str, bool | None]:
-    return name, figure, f"≥ {bound}", figure >= bound
-
-
-def _at_most(name: str, figure: float, bound: float) -> tuple[str, float, str, bool | None]:
-    return name, figure, f"≤ {bound}", figure <= bound
-
-
 def lines(report: Report) -> list[str]:
     """The report as text: a single environment first, beside those of other libraries."""
     text = ["steps per second of CPU time, hand holding a can, one thread"]
     engines = report["engines"]
-    numbers = list(dict.fromkeys(n for answer in engines.values() for n in answer["reset_ms"]))
-    for n in numbers:
+    peers = report["peers"]
+    for n in dict.fromkeys(n for answer in engines.values() for n in answer["reset_ms"]):
         text.append("one environment, as gymnasium.make makes it" if n == "1" else f"n = {n}")
         for name, answer in engines.items():
-            engine = f"engine's share {1 - answer['outside_engine'][n]:.0%}"
-            reset = f"reset of a world {answer['reset_ms'][n]:.2f} ms"
-            text.append(
-                f"  {name:<24} {answer['env_steps_per_cpu_second'][n]:6.0f}   {engine}, {reset}"
-            )
-        for name, rate in report["peers"].items() if n == "1" else ():
+            rate = answer["env_steps_per_cpu_second"][n]
+            told = [
+                f"engine's share {1 - answer['outside_engine'][n]:.0%}",
+                f"reset of a world {answer['reset_ms'][n]:.2f} ms",
+            ]
+            if peers:
+                told.append(f"× {rate / max(peers.values()):.2f} of the faster peer")
+            text.append(f"  {name:<24} {rate:6.0f}   {', '.join(told)}")
+        for name, rate in peers.items() if n == "1" else ():
             hz = f"{report['peers_control_hz'][name]:g} commands a second"
             text.append(f"  {name:<24} {rate:6.0f}   {hz}")
-    signs = {True: "✓", False: "✗", None: "? (no second processor is available)"}
-    return [
-        *text,
-        "marks",
-        *(
-            f"  {name}: {figure:.3g} ({bound}) {signs[kept]}"
-            for name, figure, bound, kept in marks(report)
-        ),
-    ]
+    arithmetic = f"two processes of plain arithmetic × {report['two_processes_of_arithmetic']:.2f}"
+    if report["two_threads"]:
+        text.append(f"two threads over one, mujoco, × {report['two_threads']:.2f}; {arithmetic}")
+    return text
 
 
 def main(argv: list[str] | None = None) -> int:
