@@ -160,6 +160,31 @@ def run_programs(page: Path, folder: Path) -> None:
     assert done.returncode == 0, done.stderr
 
 
+README = text_of(ROOT / "README.md")
+
+
+@pytest.mark.parametrize(
+    "program",
+    [
+        pytest.param(program, marks=[pytest.mark.slow] if "stable_baselines3" in program else [])
+        for program in blocks(ROOT / "README.md", "python")
+    ],
+    ids=lambda program: program.split()[1],
+)
+def test_a_program_of_the_readme_prints_and_complains_of_nothing(program):
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip()
+    assert done.stderr == ""
+
+
 def shell_lines(page: Path) -> list[str]:
     """The lines of the shell blocks of a page, less their comments."""
     found = re.findall(r"^```(.*?)\n(.*?)^```", text_of(page), re.S | re.M)
@@ -268,6 +293,23 @@ def test_the_text_of_a_page_names_options_that_exist(page):
 
 
 # Size ----------------------------------------------------------------------------------------
+
+
+def test_every_command_names_a_module_that_is_there():
+    pages = [ROOT / "README.md", *DOCS.rglob("*.md")]
+    texts = [text_of(page) for page in pages]
+    own = r"python -m ((?:agents|experiments|tools|hpac_gym)\.[\w.]*\w)"
+    modules = {name for text in texts for name in re.findall(own, text)}
+    assert len(modules) > 10
+    for name in modules:
+        assert (ROOT / (name.replace(".", "/") + ".py")).exists(), name
+    named = {name for text in texts for name in re.findall(r"^hpac ([a-z]+)", text, flags=re.M)}
+    assert {"show", "deploy", "doctor"} <= named <= NAMES
+
+
+def test_the_readme_is_short():
+    assert len(README.splitlines()) <= 120
+    assert len(README.split()) <= 900
 
 
 IN_DOCS = [page for page in PAGES if page.parent != ROOT]

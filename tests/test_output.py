@@ -7,20 +7,26 @@ import pytest
 
 from hpac_gym.output import OutputError, replacing, writable_folder, write_text
 
+FULL = r"cannot write '.*result\.txt': No space left on device"
 
-def test_a_file_appears_whole_or_not_at_all(tmp_path):
+
+@pytest.mark.parametrize(
+    ("fault", "told", "line"),
+    [
+        (KeyboardInterrupt(), KeyboardInterrupt, None),
+        (OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)), OutputError, FULL),
+    ],
+)
+def test_a_file_appears_whole_or_not_at_all(fault, told, line, tmp_path):
     path = tmp_path / "result.txt"
     write_text(path, "before")
-
-    class Interrupted(Exception):
-        pass
 
     def interrupted() -> None:
         with replacing(path) as temporary:
             temporary.write_text("half of")
-            raise Interrupted
+            raise fault
 
-    with pytest.raises(Interrupted):
+    with pytest.raises(told, match=line):
         interrupted()
     assert path.read_text() == "before"
     assert list(tmp_path.iterdir()) == [path]
@@ -30,20 +36,6 @@ def test_a_place_that_cannot_be_written_is_told(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(OutputError, match=r"cannot write .*file/result\.txt"):
         write_text(tmp_path / "file" / "result.txt", "text")
-
-
-def test_a_full_disk_keeps_the_file_before(tmp_path):
-    path = tmp_path / "result.txt"
-    write_text(path, "before")
-
-    def full_disk() -> None:
-        with replacing(path):
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    with pytest.raises(OutputError, match=r"cannot write '.*result\.txt': No space left on device"):
-        full_disk()
-    assert path.read_text() == "before"
-    assert list(tmp_path.iterdir()) == [path]
 
 
 def test_a_folder_is_made_and_left_empty(tmp_path):
