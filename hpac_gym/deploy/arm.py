@@ -3,13 +3,12 @@
 A task's wrist stands, lifts and shakes by a table. On a hand a person, or another program, does it."""
 
 import json
-import socket
 import sys
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
-from hpac_gym.deploy.errors import MALFORMED, DeployError
+from hpac_gym.deploy.errors import MALFORMED, DeployError, udp
 from hpac_gym.progress import Late
 
 PACKET = "hpac_arm"
@@ -73,14 +72,8 @@ class Remote(Arm):
     """
 
     def __init__(self, host: str, port: int) -> None:
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.setblocking(False)
         self._where = f"the arm at {host}:{port}"
-        try:
-            self._socket.connect((host, port))
-        except (OSError, OverflowError) as error:
-            self._socket.close()
-            raise DeployError(f"{self._where}: {error}") from None
+        self._socket = udp(self._where, host, port)
 
     def ready(self, wait: Callable[[float], None], told: dict[str, Any]) -> None:
         """Ask until the arm answers that it is ready.

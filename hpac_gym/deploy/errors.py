@@ -1,4 +1,6 @@
-"""The errors of a deployment."""
+"""What the parts of a deployment share: its errors, and its sockets for datagrams."""
+
+import socket
 
 from hpac_gym.errors import HpacError
 
@@ -12,3 +14,22 @@ class DeployError(HpacError, RuntimeError):
 
 class PoseError(DeployError):
     """A source of poses has none, an old one, or something that is no pose."""
+
+
+def udp(what: str, host: str, port: int, bind: bool = False) -> socket.socket:
+    """A socket that never waits: connected to a program's port, or bound to one of this computer.
+
+    Raises:
+        DeployError: There is no such port, or it is taken; the message calls it `what`.
+    """
+    made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    made.setblocking(False)
+    try:
+        if bind:
+            made.bind((host, port))
+        else:
+            made.connect((host, port))
+    except (OSError, OverflowError) as error:
+        made.close()
+        raise DeployError(f"{what}: {error}") from None
+    return made

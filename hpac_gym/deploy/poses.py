@@ -4,7 +4,6 @@ All of them give poses in the frame of the hand, as `hpac_gym.deploy.observer.Po
 
 import csv
 import json
-import socket
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from threading import Thread
@@ -16,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.camera.detection import Device, Lens, Watch, detect, lens_of
 from hpac_gym.camera.poses import object_place
-from hpac_gym.deploy.errors import MALFORMED, PoseError
+from hpac_gym.deploy.errors import MALFORMED, PoseError, udp
 from hpac_gym.deploy.observer import UPRIGHT, Pose
 from hpac_gym.output import read_text
 from hpac_gym.progress import Late
@@ -128,7 +127,7 @@ class Packets(Source):
     ones.
 
     Raises:
-        PoseError: The port cannot be opened.
+        DeployError: The port cannot be opened.
 
     Attributes:
         fault: what was wrong with the last packet that was no pose.
@@ -137,14 +136,8 @@ class Packets(Source):
     def __init__(self, port: int, clock: Callable[[], float] = monotonic) -> None:
         self._clock = clock
         self._latest: tuple[Pose, float] | None = None
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket = udp(f"--pose udp:{port}", "127.0.0.1", port, bind=True)
         self._socket.settimeout(0.1)  # before the thread looks whether the port is closed
-        try:
-            self._socket.bind(("127.0.0.1", port))
-        except (OSError, OverflowError) as error:
-            self._socket.close()
-            taken = "; does another deployment run?" if isinstance(error, OSError) else ""
-            raise PoseError(f"--pose udp:{port}: {error}{taken}") from None
         self.port = self._socket.getsockname()[1]
         self.where = f"udp:{self.port}"
         self._thread = Thread(target=self._run, name="hpac poses", daemon=True)
@@ -213,8 +206,8 @@ def source_of(text: str, seen: ObjectSpec | None = None) -> Source:
         seen: the object before a camera.
 
     Raises:
-        PoseError: It is none of them. CameraError: The camera cannot be opened, or its file is
-            none.
+        PoseError: It is none of them. DeployError: The port is taken. CameraError: The camera
+            cannot be opened, or its file is none.
     """
     kind, _, rest = text.partition(":")
     if kind == "camera" and rest:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import select
-import socket
 import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
@@ -24,8 +23,7 @@ from hpac_gym.bridge.stop import UNCONFIRMED, stop
 from hpac_gym.calibration.record import JOINT_COLUMNS
 from hpac_gym.command import say
 from hpac_gym.deploy import arm as arms, poses
-from hpac_gym.deploy.errors import MALFORMED
-from hpac_gym.errors import ParameterError
+from hpac_gym.deploy.errors import MALFORMED, udp
 from hpac_gym.model.checks import Array
 from hpac_gym.output import OutputError
 from hpac_gym.physics.engine import PhysicsError, SceneState
@@ -85,7 +83,7 @@ class Virtual:
         as_json: whether outcomes are told as JSON.
 
     Raises:
-        ParameterError: A port cannot be opened.
+        DeployError: A port cannot be opened.
 
     Attributes:
         port: the hand's port.
@@ -109,19 +107,10 @@ class Virtual:
         self.port = relay.port if relay else board.port
         self._board = board
         self._relay = relay
-        self._arm = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._arm.setblocking(False)
-        self._camera = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._camera.setblocking(False)
-        try:
-            port = arm_port
-            self._arm.bind(("127.0.0.1", port))
-            port = self.pose_port = pose_port or _free_port()
-            self._camera.connect(("127.0.0.1", port))
-        except (OSError, OverflowError) as error:
-            self.close()
-            raise ParameterError(f"UDP port {port}: {error}") from None
+        self._arm = udp(f"UDP port {arm_port}", "127.0.0.1", arm_port, bind=True)
         self.arm_port = self._arm.getsockname()[1]
+        self.pose_port = pose_port or _free_port()
+        self._camera = udp(f"UDP port {self.pose_port}", "127.0.0.1", self.pose_port)
         self._began = time.monotonic()
         self._due = 0.0
         self._phase = ""
@@ -251,6 +240,5 @@ class Virtual:
 
 
 def _free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
+    with udp("a free port", "127.0.0.1", 0, bind=True) as probe:
         return probe.getsockname()[1]

@@ -124,7 +124,6 @@ class Relay:
 
     def __init__(self, board: HostBoard, faults: Faults, seed: int, resets: bool) -> None:
         self._board = board
-        self._resets = resets
         rng = np.random.default_rng([seed, 8])
         self._there = Way(rng, faults, to_hand=True)
         self._back = Way(rng, faults, to_hand=False)
@@ -132,11 +131,11 @@ class Relay:
         tty.setraw(far_end)
         os.set_blocking(self._front, False)
         self.port = os.ttyname(far_end)
-        self._far_end = far_end
+        self._ends = [self._front, far_end]
         self._open = not resets
         self._connect()
         if resets:  # that nobody has the port open shows only if this program has not either
-            os.close(far_end)
+            os.close(self._ends.pop())
 
     def _connect(self) -> None:
         self._core = os.open(self._board.port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
@@ -151,8 +150,7 @@ class Relay:
 
     def turn(self, now: float) -> None:
         """Pass on what has come, at a time [s]; never waits."""
-        if self._resets:
-            self._watch()
+        self._watch()
         with suppress(OSError):  # nothing there, or nobody
             self._there.send(now, os.read(self._front, 4096))
         with suppress(OSError):
@@ -163,7 +161,7 @@ class Relay:
                     os.write(to, data)
 
     def _watch(self) -> None:
-        """Restart the board when a program opens the port."""
+        """Restart the board when a program opens the port, which is open all the time otherwise."""
         poll = select.poll()
         poll.register(self._front, select.POLLIN)
         was = self._open
@@ -176,7 +174,5 @@ class Relay:
 
     def close(self) -> None:
         """Close both ends."""
-        os.close(self._front)
-        os.close(self._core)
-        if not self._resets:
-            os.close(self._far_end)
+        for end in (*self._ends, self._core):
+            os.close(end)
