@@ -195,6 +195,7 @@ GOALS = [
         r"goal index_mcp = -0.6 rad is outside \[-0.5, 2\] rad",
     ),
     ({"goal": np.full(15, np.nan)}, ShapeError, r"goal\[0\] = nan"),
+    ({"goal": np.zeros(6)}, ShapeError, r"goal must have shape \(..., 15\), not \(6,\)"),
     ({"goal": "fist"}, ShapeError, "goal must be an array of numbers"),
     ({"goals": np.zeros(15)}, ParameterError, "'goals'.*'goal'"),
     ([], ParameterError, r"\[\].*'goal'"),
@@ -409,6 +410,11 @@ PRESET = r"randomize must be a preset \(nominal, .*; got "
             GENTLE,
             {"config": {"sphere_radius": [0.025, 0.03]}},
             "config sphere_radius: there are no spheres",
+        ),
+        (
+            GENTLE,
+            {"config": {"crush_limit": [0.0, 1.0]}},
+            r"config crush_limit = .* within \[0.1, 1000\]",
         ),
         (
             POSTURE,

@@ -99,16 +99,6 @@ def test_a_batch_of_held_out_hands_is_commanded_like_single_ones_to_the_bit(mode
             np.testing.assert_array_equal([seen[world] for seen in many], one)
 
 
-def test_a_state_can_be_restored_with_a_model_of_the_episodes_hand():
-    with gymnasium.make("HPAC-GraspAny-v1", engine="mujoco", hands="test", model="hand") as env:
-        env.reset(seed=3)
-        state = env.unwrapped.save_state()
-        actions = np.random.default_rng(1).uniform(-1, 1, (5, 6)).astype(np.float32)
-        first = [env.step(action)[0] for action in actions]
-        env.unwrapped.restore_state(state)
-        np.testing.assert_array_equal(first, [env.unwrapped.step(action)[0] for action in actions])
-
-
 def test_a_refused_action_leaves_no_trace_in_the_commands_of_a_calibrated_model():
     options = {"engine": "mujoco", "hands": "test", "model": "calibrated"}
     seen = []

@@ -1,13 +1,10 @@
 """HPAC-PickPlace-v0: the four phases, what counts as placed, and the target."""
 
-from dataclasses import replace
-
 import gymnasium
 import numpy as np
 import pytest
 
 from hpac_gym.envs import HandEnv, PickPlace, ScriptedClosure, ScriptedPickPlace
-from hpac_gym.errors import ParameterError
 from hpac_gym.tasks.pick_place import PHASES, PickPlaceConfig, PickPlaceTimetable
 from hpac_gym.tasks.terms import GRASP_CENTRE, LENGTH_UNIT
 from tests.envs.episodes import OPEN, Still, part, run
@@ -117,10 +114,3 @@ def test_the_wrist_path_is_smooth_and_ends_where_it_should():
     offsets = table.wrist_path(times, np.array([0.05, 0.2, 0.01]))
     assert np.abs(np.diff(offsets, 2, axis=0) / dt**2).max() < 5.0  # [m/s²]
     np.testing.assert_allclose(offsets[-1], [0.05, 0.2, 0.01 + table.clearance], atol=1e-6)
-
-
-def test_a_setup_without_a_target_is_refused(env):
-    env.reset(seed=0)
-    setup = replace(env.unwrapped.episodes.setups[0], target=None)
-    with pytest.raises(ParameterError, match=r"target, shape \(3,\) \[m\], not None"):
-        env.reset(options={"setup": setup})

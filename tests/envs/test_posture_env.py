@@ -9,7 +9,6 @@ import pytest
 
 from hpac_gym.envs import GoalEnv, Posture
 from hpac_gym.envs.randomization import PRESETS
-from hpac_gym.errors import ShapeError
 from hpac_gym.model import HPAC, JOINTS, joints_from_synergy, synergy_from_joints
 from hpac_gym.model.calibration import Calibration
 from hpac_gym.physics.simulation import ENGINES
@@ -130,15 +129,6 @@ def test_the_achieved_goal_is_measured_by_a_camera(env):
         observation, *_ = env.step(np.zeros(6, np.float32))
         errors.append(observation["achieved_goal"] - env.unwrapped.state.joint_pos[0])
     assert np.std(errors) == pytest.approx(CAMERA_NOISE, rel=0.15)
-
-
-def test_a_goal_can_be_given(env):
-    goal = joints_from_synergy(HPAC.synergy_max / 3)
-    observation, _ = env.reset(seed=0, options={"goal": goal})
-    np.testing.assert_allclose(observation["desired_goal"], goal, atol=1e-6)
-    for wrong in (np.zeros(6), np.full(15, np.nan)):
-        with pytest.raises(ShapeError, match="goal"):
-            env.reset(options={"goal": wrong})
 
 
 def test_a_given_goal_leaves_the_hand_as_it_is():

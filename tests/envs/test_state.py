@@ -44,7 +44,11 @@ def told(env: gymnasium.Env, actions: np.ndarray) -> list:
     ("name", "options", "steps"),
     [
         (GRASP, {"obs": "privileged", "randomize": "full"}, 48),
-        ("HPAC-GraspAny-v1", {"obs": "load", "wrist": "free", "hands": "train"}, 14),
+        (
+            "HPAC-GraspAny-v1",
+            {"obs": "load", "wrist": "free", "hands": "train", "model": "hand"},
+            14,
+        ),
         ("HPAC-GraspType-v0", {"types": "large_cylinder"}, 48),
         (PICK_PLACE, {"randomize": "link"}, 40),
         (POSTURE, {}, 12),
@@ -134,6 +138,7 @@ def test_nothing_is_saved_of_a_hand_at_the_far_end_of_a_wire():
         ("HPAC-GraspAny-v1", {"obs": "load", "wrist": "free", "hands": "train"}),
         ("HPAC-GraspAny-v1", {"obs": "points", "hands": "test", "model": "calibrated"}),
         ("HPAC-GraspType-v0", {"types": "large_cylinder"}),
+        ("HPAC-Gentle-v0", {"obs": "load"}),
         (PICK_PLACE, {"randomize": "link"}),
         (POSTURE, {}),
     ],

@@ -23,7 +23,7 @@ from hpac_gym.envs.episodes import open_episodes
 from hpac_gym.errors import EpisodeError, ParameterError, ShapeError, WorkspaceError
 from hpac_gym.model import elastic_joints_from_servo, servo_from_action, streamed_servo
 from hpac_gym.physics.engine import PhysicsWarning
-from hpac_gym.registration import GRASP, GRASP_ANY, GRASP_TYPE, IDS, PICK_PLACE, POSTURE
+from hpac_gym.registration import GENTLE, GRASP, GRASP_ANY, GRASP_TYPE, IDS, PICK_PLACE, POSTURE
 from hpac_gym.tasks.grasp import GraspConfig
 from tests.envs.episodes import EASY
 from tests.processes import wait_for
@@ -172,10 +172,14 @@ def test_everything_is_as_in_gymnasiums_own_over_the_ends_of_whole_episodes(engi
 
 @pytest.mark.parametrize(
     ("name", "options", "noise"),
-    [(GRASP_ANY, {"wrist": "free", "obs": "load"}, 1.0), (GRASP_TYPE, {}, 0.0)],
+    [
+        (GRASP_ANY, {"wrist": "free", "obs": "load"}, 1.0),
+        (GRASP_TYPE, {}, 0.0),
+        (GENTLE, {"obs": "load"}, 0.1),
+    ],
     ids=str,
 )
-def test_a_free_wrist_and_contacts_that_are_looked_at_are_as_in_gymnasiums_own(
+def test_a_free_wrist_contacts_and_forces_of_every_step_are_as_in_gymnasiums_own(
     name, options, noise
 ):
     """The script's actions, or with noise any."""
