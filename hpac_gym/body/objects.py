@@ -92,8 +92,6 @@ class Support:
 
     half_width: tuple[float, float] = setting(bounds=(0.0, inf), above=True, size=2, unit="m")
     """Half-widths of the post along x and y [m]."""
-    offset: tuple[float, float] = setting((0.0, 0.0), bounds=(-inf, inf), size=2, unit="m")
-    """Horizontal offset of the post's centre from the object's centre [m]."""
     gap: tuple[float, float] | None = None
     """Half of the distance between opposite walls along x and y [m]; None or infinity for no walls.
     """
@@ -123,11 +121,8 @@ class Support:
         tall = height + self.wall_height
         half = WALL_THICKNESS / 2
         walls = []
-        for across, along in {
-            (sign * self.spread[0], sign * self.spread[1]): None for sign in (-1, 1)
-        }:
-            across = across + self.offset[0]
-            along = along + self.offset[1]
+        for sign in (-1, 1) if any(self.spread) else (1,):
+            across, along = (sign * way for way in self.spread)
             walls.append(((x, y, height / 2), (across, along, height / 2)))
             for side in (-1, 1):
                 if np.isfinite(gap_x):

@@ -144,12 +144,11 @@ class Parameters:
             if spec.model
             else (_ALONE, _geom_fields(spec.shape, *spec.half_extents))
         )
-        rows = at.object_geoms[index]
+        rows = at.object_geoms
         for name, value in values.items():
-            fields[name][world, rows] = value
+            fields[name][world, rows[index]] = value
         # The hand's skin and the support multiply the object's friction; MuJoCo uses the value of
         # the geom with higher priority.
-        rows = at.object_geoms
         fields["geom_friction"][world, rows, 0] = (
             setup.hand_settings.contact_friction * spec.friction
         )

@@ -186,12 +186,6 @@ def _footprint(model: ObjectModel, turn: Rotation, angle: int) -> tuple[float, f
     return round(x * y, 7), round(-x, 5)
 
 
-def needs_stand(pose: Found, model: ObjectModel) -> bool:
-    """Whether an object stands upright but is too low for a hand beside it to clear the table."""
-    x, y, z = model.size
-    return abs(pose.rotation[2, 2]) > 0.999 and 1.1 * max(x, y) < z < HIGH
-
-
 def poses_of(model: ObjectModel, friction: float) -> dict[str, Any]:
     """Entry of an object in ``body/data/resting_poses.toml``: its stable poses, and whether it stands
     on a post.
@@ -203,8 +197,12 @@ def poses_of(model: ObjectModel, friction: float) -> dict[str, Any]:
     if not poses:
         raise ParameterError(f"object {model.name} has no stable pose: it rolls, or falls over")
     on_post = Table(model, friction, post=True)
+    x, y, z = model.size
+    low = 1.1 * max(x, y) < z < HIGH
     raised = [
-        (pose, share) for pose, share in poses if needs_stand(pose, model) and on_post.keeps(pose)
+        (pose, share)
+        for pose, share in poses
+        if low and abs(pose.rotation[2, 2]) > 0.999 and on_post.keeps(pose)
     ]
     shares = [
         (Rotation.from_matrix(pose.rotation).as_quat(canonical=True).tolist(), share)

@@ -14,7 +14,6 @@ from hpac_gym.errors import ParameterError
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import (
     HAND_POSITION,
-    PARTS,
     Contacts,
     Engine,
     PhysicsError,
@@ -114,14 +113,10 @@ class PyBulletEngine(Engine):
         found.object_vel[world] = to_hand.dot(linear)
         found.object_spin[world] = to_hand.dot(angular)
         contacts, others = scene.contacts()
-        touching = [False] * len(PARTS)
-        force = [0.0] * len(PARTS)
         for contact in contacts:
             part = scene.hand.part_of_link[contact[LINK]]
-            touching[part] = True
-            force[part] += contact[FORCE]
-        found.touching[world] = touching
-        found.contact_force[world] = force
+            found.touching[world, part] = True
+            found.contact_force[world, part] += contact[FORCE]
         found.supported[world] = bool(others)
         found.on_target[world] = scene.target_post in others
 
