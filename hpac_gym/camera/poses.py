@@ -2,8 +2,6 @@
 
 Since both boards are seen at once, where the camera stands does not matter."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Self
 
@@ -41,11 +39,11 @@ class Place:
         """The place of x, y, z [m] and a quaternion xyzw."""
         return cls(np.array(numbers[:3]), Rotation.from_quat(numbers[3:]).as_matrix())
 
-    def __matmul__(self, other: Place) -> Place:
+    def __matmul__(self, other: Self) -> Self:
         return Place(self.rotation @ other.position + self.position, self.rotation @ other.rotation)
 
     @property
-    def inverse(self) -> Place:
+    def inverse(self) -> Self:
         """The place undone."""
         return Place(-self.rotation.T @ self.position, self.rotation.T)
 

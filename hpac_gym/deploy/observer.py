@@ -58,7 +58,6 @@ class Observer:
         object: the object as the camera knows it; its mass and friction are never observed.
         model: the hand with which commands and observations are computed.
         grasp: name of the grasp or type, for the tasks that have one.
-        table: hand whose servo table the board was flashed with.
         options: of the task, such as `wrist="free"`.
 
     Raises:
@@ -77,7 +76,6 @@ class Observer:
         object: ObjectSpec,
         model: Hand = HPAC,
         grasp: str | None = None,
-        table: Hand = HPAC,
         **options: Any,
     ) -> None:
         name = env_id.rpartition(":")[2]
@@ -93,7 +91,7 @@ class Observer:
         self.spec = gymnasium.spec(name)
         self.model = model
         self.unwrapped = self
-        self._map = CommandMap(model, 1, table)
+        self._map = CommandMap(model)
         self._layout = Layout(self.task.terms, 1)
         self.observation_space = self._layout.space
         size = len(SERVOS) + len(self.task.wrist_actions)

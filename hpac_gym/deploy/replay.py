@@ -1,7 +1,5 @@
 """``hpac replay``: the log of a deployment beside a simulation of the same actions, and where they part."""
 
-from __future__ import annotations
-
 import argparse
 import json
 from dataclasses import replace

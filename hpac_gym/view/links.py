@@ -1,7 +1,5 @@
 """The links of a hand in the browser, and of the ghosts that predictions lay over it."""
 
-from __future__ import annotations
-
 import numpy as np
 import viser
 from scipy.spatial.transform import Rotation

@@ -1,8 +1,6 @@
 """The solids of hand, object and supports as triangles [m]. The page shades smoothly, so that sharp
 edges have vertices of their own on either side."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

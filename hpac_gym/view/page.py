@@ -1,8 +1,6 @@
 """The page: a hand, its object and its tendons in the browser, with sliders where nothing else
 drives it."""
 
-from __future__ import annotations
-
 import io
 import sys
 import time
@@ -65,9 +63,14 @@ class HandPage:
         self.object_back = Event()
         self._due = 0.0
         self._text_due = 0.0
-        self._light()
+        scene = self._server.scene
+        scene.set_up_direction("+z")
+        scene.configure_environment_map(None)
+        scene.configure_default_lights(cast_shadow=False)
+        scene.add_light_ambient("/lamps/all", intensity=1.0)
+        scene.add_light_directional("/lamps/sun", intensity=1.2, position=(0.6, 1.0, 1.2))
         self._draw_controls(about, stop)
-        self._scene: viser.FrameHandle | None = None
+        self._scene = scene.add_frame("/scene", show_axes=False)
         self.place(setup)
         print(f"hpac_gym: the page is at {self.address}", file=sys.stderr, flush=True)
         if browser:
@@ -75,34 +78,23 @@ class HandPage:
 
     # Scene --------------------------------------------------------------------------------
 
-    def _light(self) -> None:
-        scene = self._server.scene
-        scene.set_up_direction("+z")
-        scene.configure_environment_map(None)
-        scene.configure_default_lights(cast_shadow=False)
-        scene.add_light_ambient("/lamps/all", intensity=1.0)
-        scene.add_light_directional("/lamps/sun", intensity=1.2, position=(0.6, 1.0, 1.2))
-
     def place(self, setup: SceneSetup) -> None:
         """Show another scene."""
+        self._hand_turn = Rotation.from_quat(setup.hand_quaternion)
+        centre = HAND_POSITION + self._hand_turn.apply([0.03, 0.0, 0.1])
+        aside = centre + np.array([-0.05, 0.0, 0.0])  # the panel covers the right
+        camera = self._server.initial_camera
+        camera.look_at = tuple(aside)
+        camera.position = tuple(aside + np.array([0.12, 0.32, 0.09]))
+        camera.up = (0.0, 0.0, 1.0)
         with self._server.atomic():
-            if self._scene is not None:
-                self._scene.remove()
+            self._scene.remove()
             self._scene = self._server.scene.add_frame("/scene", show_axes=False)
-            self._draw_hand(setup)
+            self._hands = {name: Links(self._server, setup, name) for name in ("", *GHOSTS)}
             self._again.visible = setup.object is not None and not self._driven
             self._object = None
             if setup.object is not None:
                 self._draw_object(setup)
-
-    def _draw_hand(self, setup: SceneSetup) -> None:
-        self._hand_turn = Rotation.from_quat(setup.hand_quaternion)
-        centre = HAND_POSITION + self._hand_turn.apply([0.03, 0.0, 0.1])
-        aside = centre + np.array([-0.05, 0.0, 0.0])  # the panel covers the right
-        self._server.initial_camera.look_at = tuple(aside)
-        self._server.initial_camera.position = tuple(aside + np.array([0.12, 0.32, 0.09]))
-        self._server.initial_camera.up = (0.0, 0.0, 1.0)
-        self._hands = {name: Links(self._server, setup, name) for name in ("", *GHOSTS)}
 
     def _draw_object(self, setup: SceneSetup) -> None:
         self._object = self._server.scene.add_frame("/scene/object", show_axes=False)

@@ -1,8 +1,7 @@
 """What a picture shows: a hand, its object, and postures that can be laid over it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -50,7 +49,7 @@ class Shown:
     @classmethod
     def of_state(
         cls, state: SceneState, servo: Array, text: str = "", goal: Array | None = None
-    ) -> Shown:
+    ) -> Self:
         """The first world of a simulation, the servos' commands, shape (6,) [rad], and a goal."""
         return cls(
             state.joint_pos[0],

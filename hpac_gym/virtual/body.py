@@ -3,8 +3,6 @@ carries the hand; also the camera that sees the object.
 
 `hpac virtual` drives it in real time; `LockStep` in virtual time, for tests and experiments."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any

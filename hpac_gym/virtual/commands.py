@@ -3,8 +3,6 @@
 The real firmware runs in a process of its own behind a pseudo-terminal. Its pulses drive a simulated
 body with an object; an arm does what `hpac deploy --arm` tells it; a camera sends poses."""
 
-from __future__ import annotations
-
 import argparse
 import signal
 import sys

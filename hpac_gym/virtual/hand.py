@@ -1,7 +1,5 @@
 """A virtual hand in real time: body, board, wire, arm and camera."""
 
-from __future__ import annotations
-
 import json
 import select
 import time

@@ -1,7 +1,5 @@
 """``hpac play``: six sliders move a simulated hand in the browser; without port, firmware or policy."""
 
-from __future__ import annotations
-
 import argparse
 import time
 from contextlib import ExitStack, closing, suppress

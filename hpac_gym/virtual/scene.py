@@ -1,7 +1,5 @@
 """The scene of a virtual hand: environment, object, and the hand that a seed draws."""
 
-from __future__ import annotations
-
 import argparse
 from dataclasses import replace
 from typing import Any

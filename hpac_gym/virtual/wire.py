@@ -1,7 +1,5 @@
 """What is wrong with a wire: frames that are lost, damaged or late; in virtual time and in real time."""
 
-from __future__ import annotations
-
 import os
 import pty
 import select
