@@ -1,6 +1,9 @@
-"""Devices that are no hand, or not the one that is expected."""
+"""Devices that are no hand, or not the one that is expected, and lines to a hand that are overheard or
+bad."""
 
-from hpac_gym.bridge.frame import Frame, FrameSplitter, encode
+import numpy as np
+
+from hpac_gym.bridge.frame import Frame, FrameSplitter, decode, encode
 from hpac_gym.bridge.hands import VirtualTransport
 from hpac_gym.bridge.protocol import MESSAGES
 
@@ -49,3 +52,54 @@ class Device(VirtualTransport):
         said = self.said
         self.said = b""
         return said
+
+
+class Overheard(VirtualTransport):
+    """Notes when which frame is written; a deaf one takes it no further."""
+
+    def __init__(self, hand, deaf=False):
+        super().__init__(hand)
+        self.deaf = deaf
+        self.frames = []
+
+    def write(self, data):
+        self.frames.append((self.now(), decode(data[1:-1])))
+        if not self.deaf:
+            super().write(data)
+
+    def of(self, name):
+        return [(time, frame) for time, frame in self.frames if frame.name == name]
+
+
+class Bad(Overheard):
+    """Once `armed`, loses frames in both directions, delivers the host's late by up to `jitter` and
+    the hand's by `latency`.
+    """
+
+    def __init__(self, hand, loss=0.0, jitter=0.0, latency=0.0, seed=0):
+        super().__init__(hand)
+        self.loss = loss
+        self.jitter = jitter
+        self.latency = latency
+        self.rng = np.random.default_rng(seed)
+        self.out = []
+        self.back = []
+        self.armed = False
+
+    def write(self, data):
+        if not self.armed or self.rng.random() >= self.loss:
+            self.out.append((self.now() + self.armed * self.rng.uniform(0, self.jitter), data))
+
+    def read(self, timeout):
+        until = self.now() + timeout
+        while True:
+            while self.out and self.out[0][0] <= self.now():
+                super().write(self.out.pop(0)[1])
+            if self.back and self.back[0][0] <= self.now():
+                return self.back.pop(0)[1]
+            if self.now() >= until:
+                return b""
+            due = min([until, *(at for at, _ in (*self.out[:1], *self.back[:1]))])
+            data = super().read(max(due - self.now(), 1e-6))
+            if data and (not self.armed or self.rng.random() >= self.loss):
+                self.back.append((self.now() + self.armed * self.latency, data))

@@ -43,8 +43,7 @@ from hpac_gym.model import (
     stream_command,
 )
 from hpac_gym.model.calibration import Calibration
-from tests.bridge.devices import Device, of_another_version, refusing
-from tools.evidence.sessions import BadTransport
+from tests.bridge.devices import Bad, Device, of_another_version, refusing
 
 POSE = np.array([0.5, 0.4, 0.3, 0.2, 0.1, 0.6])
 
@@ -235,12 +234,10 @@ def test_the_chosen_safe_action_happens(virtual_hand, link, action):
 
 
 def test_every_command_arrives_once_over_a_line_that_loses_a_tenth(virtual_hand):
-    lossy = BadTransport(virtual_hand, np.random.default_rng(5))
-    lossy.loss_out = lossy.loss_in = 0.1
-    lossy.dies_at = 0
-    lossy.interrupt_at = set()
+    lossy = Bad(virtual_hand, loss=0.1)
     with HandLink(lambda: lossy, attempts=10, timeout=0.03) as link:
         link.arm()
+        lossy.armed = True
         for command in streamed(np.random.default_rng(6), 200):
             link.move(command)
             np.testing.assert_allclose(link.wait().servo, command.servo, atol=1e-4)

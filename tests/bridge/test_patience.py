@@ -28,23 +28,7 @@ from hpac_gym.bridge.frame import Frame, FrameSplitter, decode, encode
 from hpac_gym.bridge.hands import VirtualTransport
 from hpac_gym.bridge.protocol import FLAG_MINIMUM_JERK, MESSAGES
 from hpac_gym.model import HPAC, ServoCommand
-
-
-class Overheard(VirtualTransport):
-    """Notes when which frame is written; a deaf one takes it no further."""
-
-    def __init__(self, hand, deaf=False):
-        super().__init__(hand)
-        self.deaf = deaf
-        self.frames = []
-
-    def write(self, data):
-        self.frames.append((self.now(), decode(data[1:-1])))
-        if not self.deaf:
-            super().write(data)
-
-    def of(self, name):
-        return [(time, frame) for time, frame in self.frames if frame.name == name]
+from tests.bridge.devices import Bad, Device, Overheard
 
 
 @pytest.fixture
@@ -98,22 +82,26 @@ def test_a_frame_is_sent_three_times_a_tenth_of_a_second_apart(talking, overhear
     assert words[:10] == (["clear"] * 3 + ["estop"] * 2) * 2
 
 
+class Robbed(VirtualTransport):
+    """Some of the hand's answers are read by another program."""
+
+    stolen = 0
+
+    def read(self, timeout):
+        data = super().read(timeout)
+        if data and self.stolen:
+            self.stolen -= 1
+            return b""
+        return data
+
+
 def test_a_stop_whose_sender_reads_the_answers_is_told_as_a_stop(virtual_hand):
     """Two programs read one port: `hpac estop` may get all the answers for a while."""
-
-    class Robbed(Overheard):
-        robbed = False
-
-        def read(self, timeout):
-            data = super().read(timeout)
-            self.robbed = self.robbed and self.frames[-1][1].name != "status"
-            return b"" if self.robbed else data
-
     robbed = Robbed(virtual_hand)
     with HandLink(lambda: robbed) as link:
         link.arm()
-        robbed.robbed = True
-        VirtualTransport.write(robbed, encode(Frame("estop", 7, 0, {})))
+        robbed.stolen = 4  # that of the stop, and of the heartbeat sent three times
+        robbed.write(encode(Frame("estop", 7, 0, {})))
         with pytest.raises(FaultError, match=r"in fault \(estop\): heartbeat was not answered"):
             link.heartbeat()
 
@@ -122,20 +110,10 @@ def test_a_stop_whose_sender_reads_the_answers_is_told_as_a_stop(virtual_hand):
 def test_a_stopped_program_leaves_the_fault_even_if_the_stops_sender_reads_its_answers(
     virtual_hand, stolen
 ):
-    class Robbed(Overheard):
-        stolen = 0
-
-        def read(self, timeout):
-            data = super().read(timeout)
-            if data and self.stolen:
-                self.stolen -= 1
-                return b""
-            return data
-
     robbed = Robbed(virtual_hand)
     with pytest.raises(FaultError, match="estop"), HandLink(lambda: robbed) as link:  # noqa: PT012
         link.arm()
-        VirtualTransport.write(robbed, encode(Frame("estop", 7, 0, {})))
+        robbed.write(encode(Frame("estop", 7, 0, {})))
         try:
             link.sleep(1.0)
         finally:
@@ -146,57 +124,22 @@ def test_a_stopped_program_leaves_the_fault_even_if_the_stops_sender_reads_its_a
 
 def test_signs_of_life_are_timed_from_their_sending_not_from_their_answers(virtual_hand):
     """A slow answer must not make the next one late: the hand counts from what it heard."""
-
-    class Slow(Overheard):
-        """Its answers to heartbeats take 60 ms."""
-
-        asked = False
-
-        def write(self, data):
-            super().write(data)
-            self.asked = self.frames[-1][1].name == "heartbeat"
-
-        def read(self, timeout):
-            late = super().read(0.0)
-            while self.asked and self.now() < self.frames[-1][0] + 0.06:
-                late += super().read(0.06)
-            self.asked = False
-            return late or super().read(timeout)
-
-    slow = Slow(virtual_hand)
+    slow = Bad(virtual_hand, latency=0.06)
     with HandLink(lambda: slow, timeout=0.2) as link:
         link.arm(watchdog=0.4)
+        slow.armed = True
         link.sleep(3.0)
-        said = slow.of("heartbeat")[-15:]
-        np.testing.assert_allclose(gaps(said), 0.1, atol=0.002)
+        np.testing.assert_allclose(gaps(slow.of("heartbeat")[-15:]), 0.1, atol=0.002)
 
 
 def test_an_ack_of_another_message_is_no_answer(virtual_hand):
-    class Confused(VirtualTransport):
-        """Answers a heartbeat with the right number and the wrong message."""
+    def confused(data):
+        fields = {"acked": MESSAGES["move"].code, "reason": 0, "servo": 255, "state": 2}
+        return encode(Frame("ack", decode(data[1:-1]).seq, 0, fields))
 
-        def write(self, data):
-            frame = decode(data[1:-1])
-            if frame.name != "heartbeat" or not self.confused:
-                super().write(data)
-                return
-            fields = {"acked": MESSAGES["move"].code, "reason": 0, "servo": 255, "state": 2}
-            self._reply = encode(Frame("ack", frame.seq, 0, fields))
-
-        _reply = b""
-        confused = False
-
-        def read(self, timeout):
-            reply = self._reply
-            self._reply = b""
-            return reply or super().read(timeout)
-
-    confused = Confused(virtual_hand)
-    with HandLink(lambda: confused) as link:
-        link.arm()
-        confused.confused = True
-        with pytest.raises(LinkTimeout, match="no answer to heartbeat"):
-            link.heartbeat()
+    exchange = Exchange(Device(virtual_hand, confused), LinkStatistics())
+    with pytest.raises(LinkTimeout, match="no answer to heartbeat"):
+        exchange.request("heartbeat")
 
 
 @pytest.mark.parametrize("watchdog", [0.1, 0.4, 2.0])

@@ -13,43 +13,9 @@ from hpac_gym.bridge import (
     servo_from_pulses,
 )
 from hpac_gym.bridge.frame import Frame, encode
-from hpac_gym.bridge.hands import VirtualTransport
 from hpac_gym.errors import ShapeError
 from hpac_gym.model import HPAC, ServoCommand
-
-
-class Bad(VirtualTransport):
-    """Once `armed`, loses frames in both directions, delivers the host's late by up to `jitter` and
-    the hand's by `latency`.
-    """
-
-    def __init__(self, hand, loss=0.0, jitter=0.0, latency=0.0, seed=0):
-        super().__init__(hand)
-        self.loss = loss
-        self.jitter = jitter
-        self.latency = latency
-        self.rng = np.random.default_rng(seed)
-        self.out = []
-        self.back = []
-        self.armed = False
-
-    def write(self, data):
-        if not self.armed or self.rng.random() >= self.loss:
-            self.out.append((self.now() + self.armed * self.rng.uniform(0, self.jitter), data))
-
-    def read(self, timeout):
-        until = self.now() + timeout
-        while True:
-            while self.out and self.out[0][0] <= self.now():
-                super().write(self.out.pop(0)[1])
-            if self.back and self.back[0][0] <= self.now():
-                return self.back.pop(0)[1]
-            if self.now() >= until:
-                return b""
-            due = min([until, *(at for at, _ in (*self.out[:1], *self.back[:1]))])
-            data = super().read(max(due - self.now(), 1e-6))
-            if data and (not self.armed or self.rng.random() >= self.loss):
-                self.back.append((self.now() + self.armed * self.latency, data))
+from tests.bridge.devices import Bad
 
 
 @pytest.fixture
