@@ -19,7 +19,6 @@ from hpac_gym.calibration.record import (
     concatenate,
     joints_of_servo,
 )
-from hpac_gym.errors import ParameterError
 from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, SERVO_INDEX, SERVOS
 from hpac_gym.model.checks import Array
 
@@ -33,10 +32,6 @@ class JointCamera:
     joint.
 
     The other errors are common to all joints of a frame or of the record, and zero by default.
-
-    Raises:
-        ParameterError: A rate or time is not positive, a deviation is negative, or the share of
-            outliers is outside 0…1.
     """
 
     rate_hz: float = 20.0
@@ -52,18 +47,6 @@ class JointCamera:
     """Correlation time of that error [s]."""
     outliers: float = 0.0
     """Share of samples with a mistaken marker, uniform between −0.5 and 2 rad."""
-
-    def __post_init__(self) -> None:
-        errors = (self.noise, self.drift, self.common_scale, self.common_wander)
-        if not (
-            self.rate_hz > 0
-            and self.wander_time > 0
-            and min(errors) >= 0
-            and 0 <= self.outliers <= 1
-        ):
-            raise ParameterError(
-                f"{self}: rate_hz [Hz], wander_time [s] must be greater than 0, errors at least 0, outliers 0…1"
-            )
 
     def seen(self, joint_pos: Array, time: Array, rng: np.random.Generator) -> Array:
         """Measured angles for true angles of shape (n, joints) [rad] at times (n,) [s]."""

@@ -107,12 +107,6 @@ def through_the_wire(
     return world.body.outcome == SUCCESS, counts
 
 
-def in_the_environment(env: HandEnv, policy_name: str, seed: int) -> bool:
-    """One episode of the environment."""
-    *_, last = run_episodes(single(env), [load_policy(policy_name, env)], [seed])
-    return last.success
-
-
 def pairs(policy: str, links: Sequence[str], seeds: Sequence[int]) -> list[tuple]:
     """Success in the environment and through the wire, and the counts of the stream, by seed and
     link.
@@ -123,19 +117,20 @@ def pairs(policy: str, links: Sequence[str], seeds: Sequence[int]) -> list[tuple
         env.spec = made.spec
         rows = []
         for seed in seeds:
-            alone = in_the_environment(made, policy, seed)
+            *_, last = run_episodes(single(made), [load_policy(policy, made)], [seed])
             for link in links:
                 held, counts = through_the_wire(env, policy, env_id, seed, link)
-                rows.append((link, alone, held, counts.sent, counts.refused, counts.lost))
+                rows.append((link, last.success, held, counts.sent, counts.refused, counts.lost))
     return rows
 
 
-def summary(by_link: Mapping[str, Sequence[tuple]]) -> list[dict[str, Any]]:
+def summary(rows: Sequence[tuple]) -> list[dict[str, Any]]:
     """Success on both sides, their difference, and the counts of the commands, by link."""
     cells = []
-    for name, rows in by_link.items():
-        count = len(rows)
-        alone, held, sent, refused, lost = zip(*rows, strict=True)
+    for name in LINKS:
+        mine = [row for row in rows if row[0] == name]
+        count = len(mine)
+        _, alone, held, sent, refused, lost = zip(*mine, strict=True)
         gain, *interval = paired_difference(held, alone)
         cells.append(
             {
@@ -173,13 +168,9 @@ def in_real_time(seconds: float) -> dict[str, float]:
         counts = stream.counts
     off = np.array(apart)
     off = 1e3 * np.minimum(off, stream.period - off)
-    jitter = {
-        "p50_ms": np.quantile(off, 0.5),
-        "p99_ms": np.quantile(off, 0.99),
-        "worst_ms": off.max(),
-    }
+    jitter = np.quantile(off, (0.5, 0.99, 1.0)).round(3).tolist()
     told = ("sent", "late", "skipped", "lost", "refused")
-    return {name: round(float(value), 3) for name, value in jitter.items()} | {
+    return dict(zip(("p50_ms", "p99_ms", "worst_ms"), jitter, strict=True)) | {
         name: getattr(counts, name) for name in told
     }
 
@@ -205,11 +196,9 @@ def main(argv: list[str] | None = None) -> int:
         (arguments.policy, list(LINKS), list(range(first, min(first + 10, last))))
         for first in range(HELD_OUT_SEED, last, 10)
     ]
-    by_link: dict[str, list[tuple]] = {name: [] for name in LINKS}
-    for rows in shared(pairs, jobs, arguments.workers, "episodes"):
-        for name, *row in rows:
-            by_link[name].append(tuple(row))
-    cells = summary(by_link)
+    cells = summary(
+        [row for rows in shared(pairs, jobs, arguments.workers, "episodes") for row in rows]
+    )
     words = f"deployed --policy {arguments.policy} --episodes {arguments.episodes}"
     write_results(arguments.out, words, cells=cells)
     print(deployed_table(cells))

@@ -247,27 +247,18 @@ def calibration(count: int, seed: int, in_physics: int = 0) -> Part:
     if in_physics:
         hands["physics engine"] = run_hidden_in_physics(in_physics, seed)
     rows = rows_of((*COLUMNS, *COVERAGE), hands)
-    lines = [
-        f"## `hpac calibrate` on hidden hands, seed {seed}",
-        "",
-        table("hidden", COLUMNS, rows),
-        "",
-    ]
     fit = rows["laws of the fit"]
     body = [
         (name, f"{share:.0%}", f"{fit['told'][name]:.0%}")
         for name, share in fit["coverage"].items()
     ]
-    lines += [
-        markdown(
-            ("combination", "95 % interval contains the truth", "determined by the data"), body
-        ),
-        "",
+    head = ("combination", "95 % interval contains the truth", "determined by the data")
+    parts = [
+        f"## `hpac calibrate` on hidden hands, seed {seed}",
+        table("hidden", COLUMNS, rows),
+        markdown(head, body),
     ]
     if in_physics:
-        shares = rows["physics engine"]["coverage"].values()
-        lines += [
-            f"In the physics engine {np.mean(list(shares)):.0%} of the intervals hold the truth.",
-            "",
-        ]
-    return Part("\n".join(lines), rows)
+        share = np.mean(list(rows["physics engine"]["coverage"].values()))
+        parts.append(f"In the physics engine {share:.0%} of the intervals hold the truth.")
+    return Part("\n\n".join(parts) + "\n", rows)

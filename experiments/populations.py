@@ -8,12 +8,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from experiments.quasistatic import Built, Metal, hand_course
-from experiments.results import Column, Part, log_ticks, range_of, rows_of, table
+from experiments.results import Column, Part, range_of, rows_of, table
 from hpac_gym.calibration.accuracy import EVALUATED
-from hpac_gym.figures import new_figure
 from hpac_gym.model import (
     HPAC,
     JOINTS,
@@ -214,54 +212,11 @@ def populations(count: int, seed: int) -> Part:
         for name, shop in progress(WORKSHOPS.items(), "populations")
     }
     rows = rows_of(COLUMNS, errors)
-    text = f"## Populations: {count} hands each, seed {seed}; median and the middle 95 %\n\n{table('hands', COLUMNS, rows)}\n"
-    caption = f"{count} hands in metal each, seed {seed}, nominal compensation"
-    return Part(text, rows, {"populations": population_figure(errors)}, caption)
-
-
-def population_figure(found: Mapping[str, PopulationErrors]) -> Figure:
-    """Share of hands whose worst of nine joints is below an error, by manufacturing tolerance."""
-    figure = new_figure(9, 5)
-    axis = figure.subplots()
-    for name, errors in found.items():
-        axis.ecdf(errors.compensated.max(axis=1), label=name)
-    axis.axvline(
-        ALL_BELOW_DEG,
-        color="black",
-        linestyle="--",
-        label=f"the paper's hand: all nine below {ALL_BELOW_DEG}°",
-    )
-    log_ticks(axis.xaxis, (0.1, 0.2, 0.5, 1, 2, 5))
-    axis.set_xlabel("mean absolute error of a hand's worst of nine joints, compensated [°]")
-    axis.set_ylabel("share of the hands")
-    figure.legend(loc="outside right center", frameon=False, fontsize=9)
-    return figure
+    title = f"## Populations: {count} hands each, seed {seed}; median and the middle 95 %"
+    return Part(f"{title}\n\n{table('hands', COLUMNS, rows)}\n", rows)
 
 
 # Contribution of each cause ----------------------------------------------------------
-
-
-def hands_of_causes() -> dict[str, Built]:
-    """Hands that each violate one assumption of Eqs. (12), (13), all with the nominal
-    parameters.
-    """
-    ideal = scaled_hand(HPAC, {"drive_stiffness": 1e4})
-
-    def alone(hand: Hand = ideal, **metal: float) -> Built:
-        return Built(hand, (Metal(**metal),) * len(hand.digits))
-
-    return {
-        "none: the assumptions of Eqs. (12), (13)": alone(),
-        "drive stretch, k_d = 2.5·10⁵ N/m": alone(HPAC),
-        "servo stiffness, 20 N·m/rad": alone(servo_stiffness=SERVO_STIFFNESS),
-        "coupling law, EA/L in both segments": alone(first_segment=1.0),
-        "joint friction, 1 mN·m": alone(joint_friction=1e-3),
-        "tendon friction, 3 % of the load": alone(tendon_friction=0.03),
-        "return cable sliding, μ = 0.05": alone(cable_friction=0.05),
-        "servo zero, +0.5°": alone(servo_zero=ZERO),
-        "servo dead band, 2 mrad": alone(dead_band=2e-3),
-        "guide pins of 2 mm": alone(guide_radius=1e-3),
-    }
 
 
 CAUSE_COLUMNS = (
@@ -273,8 +228,26 @@ CAUSE_COLUMNS = (
 
 
 def causes() -> Part:
-    """Compensated errors on the nominal hand with one cause at a time."""
-    built = hands_of_causes()
+    """Compensated errors on the nominal hand with one violated assumption of Eqs. (12), (13) at a
+    time.
+    """
+    ideal = scaled_hand(HPAC, {"drive_stiffness": 1e4})
+
+    def alone(hand: Hand = ideal, **metal: float) -> Built:
+        return Built(hand, (Metal(**metal),) * len(hand.digits))
+
+    built = {
+        "none: the assumptions of Eqs. (12), (13)": alone(),
+        "drive stretch, k_d = 2.5·10⁵ N/m": alone(HPAC),
+        "servo stiffness, 20 N·m/rad": alone(servo_stiffness=SERVO_STIFFNESS),
+        "coupling law, EA/L in both segments": alone(first_segment=1.0),
+        "joint friction, 1 mN·m": alone(joint_friction=1e-3),
+        "tendon friction, 3 % of the load": alone(tendon_friction=0.03),
+        "return cable sliding, μ = 0.05": alone(cable_friction=0.05),
+        "servo zero, +0.5°": alone(servo_zero=ZERO),
+        "servo dead band, 2 mrad": alone(dead_band=2e-3),
+        "guide pins of 2 mm": alone(guide_radius=1e-3),
+    }
     errors = errors_of(list(built.values()))
     rows = rows_of(
         CAUSE_COLUMNS,

@@ -239,20 +239,19 @@ def _error(predicted: Array, truth: Array) -> float:
 def rivals(count: int, seed: int, samples: tuple[int, ...] = SAMPLES) -> Part:
     """Run the comparison, with its figure."""
     race = run_race(count, seed, samples)
-    lines = [f"## Rival calibrations on {TITLE}: mean absolute error of the nine joints [°]", ""]
-    lines += [f"{count} hands, seed {seed}; mean and 95 % interval.", ""]
     body = [(name, *table.values()) for name, table in race.trained.items()]
     body += [
         (f"{name}, untrained", value, *[""] * (len(samples) - 1))
         for name, value in race.untrained.items()
     ]
-    lines += [markdown(("method", *(f"{n} points" for n in samples)), body), ""]
-    lines += [
+    parts = [
+        f"## Rival calibrations on {TITLE}: mean absolute error of the nine joints [°]",
+        f"{count} hands, seed {seed}; mean and 95 % interval.",
+        markdown(("method", *(f"{n} points" for n in samples)), body),
         f"The camera's scale error alone, which no method can observe, leaves {race.camera:.3f}°.",
-        "",
     ]
     caption = f"{count} hands, {TITLE}, camera with common errors, seed {seed}"
-    return Part("\n".join(lines), race, {"rivals": race_figure(race)}, caption)
+    return Part("\n\n".join(parts) + "\n", race, {"rivals": race_figure(race)}, caption)
 
 
 def race_figure(race: Race) -> Figure:

@@ -13,7 +13,6 @@ from experiments import commands, hidden, labels, populations, reference, rivals
 from experiments.populations import Workshop
 from experiments.results import Part
 from hpac_gym.command import command_parser, run, whole_number
-from hpac_gym.errors import HpacError
 from hpac_gym.figures import save
 from hpac_gym.output import write_text
 
@@ -26,15 +25,15 @@ COMMANDED = "all of these, geometry 1 %"
 """Tolerances of the hands that are calibrated and commanded."""
 
 
-class StudyError(HpacError, ValueError):
-    """The command line names an unknown part."""
-
-
 def main(argv: list[str] | None = None) -> int:
     """Run the parts in sequence; each writes its table, figures and numbers when it is complete."""
     parser = command_parser("experiments.study", __doc__)
     parser.add_argument(
-        "parts", nargs="*", metavar="PART", help=f"parts to run: {', '.join(PARTS)} (default: all)"
+        "parts",
+        nargs="*",
+        choices=PARTS,
+        metavar="PART",
+        help=f"parts to run: {', '.join(PARTS)} (default: all)",
     )
     parser.add_argument(
         "--hands",
@@ -59,11 +58,6 @@ def main(argv: list[str] | None = None) -> int:
         "--json", action="store_true", help="print one JSON object instead of the report"
     )
     arguments = parser.parse_args(argv)
-    unknown = [name for name in arguments.parts if name not in PARTS]
-    if unknown:
-        raise StudyError(
-            f"{', '.join(unknown)}: experiments.study has the parts {', '.join(PARTS)}"
-        )
     results = {}
     for name in arguments.parts or PARTS:
         part = PARTS[name](arguments)

@@ -246,26 +246,22 @@ def tracking(
         (name, rate, closed) for name in PROFILES for rate in rates_hz for closed in (False, True)
     ]
     runs = [run_tracking(reference, *job, count, seed) for job in progress(jobs, "tracking")]
-    body = []
-    for item in runs:
-        loop = "camera at 20 Hz" if item.closed else "open"
-        body.append(
-            (
-                item.profile.replace("_", " "),
-                f"{item.rate_hz:g}",
-                loop,
-                f"{item.lag_ms:.1f}",
-                item.rms_deg["mean"],
-            )
+    body = [
+        (
+            item.profile.replace("_", " "),
+            f"{item.rate_hz:g}",
+            "camera at 20 Hz" if item.closed else "open",
+            f"{item.lag_ms:.1f}",
+            item.rms_deg["mean"],
         )
-    text = f"## Tracking, mean over the nine joints: {count} runs, seed {seed}; mean and 95 % interval\n\n"
-    text += markdown(("command", "rate [Hz]", "loop", "lag [ms]", "RMS error [°]"), body) + "\n"
-    return Part(
-        text,
-        runs,
-        {"tracking": tracking_figure(runs)},
-        f"reference hand, {count} runs, seed {seed}",
+        for item in runs
+    ]
+    title = (
+        f"## Tracking, mean over the nine joints: {count} runs, seed {seed}; mean and 95 % interval"
     )
+    made = markdown(("command", "rate [Hz]", "loop", "lag [ms]", "RMS error [°]"), body)
+    caption = f"reference hand, {count} runs, seed {seed}"
+    return Part(f"{title}\n\n{made}\n", runs, {"tracking": tracking_figure(runs)}, caption)
 
 
 def tracking_figure(found: list[Tracked]) -> Figure:
@@ -281,14 +277,8 @@ def tracking_figure(found: list[Tracked]) -> Figure:
         ):
             runs = [item for item in found if item.profile == profile and item.closed == closed]
             rates = [item.rate_hz for item in runs]
-            for joint in EVALUATED:
-                axis.plot(
-                    rates,
-                    [item.rms_deg[joint].middle for item in runs],
-                    "-",
-                    color=color,
-                    alpha=0.25,
-                )
+            joints = [[item.rms_deg[joint].middle for joint in EVALUATED] for item in runs]
+            axis.plot(rates, joints, "-", color=color, alpha=0.25)
             axis.plot(
                 rates,
                 [item.rms_deg["mean"].middle for item in runs],

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from experiments import sweep as command
-from experiments.bench import JointCamera, Protocol
+from experiments.bench import Protocol
 from experiments.reference import PRINTED, Reference, met
 from experiments.rig import Rig
 from hpac_gym.calibration import processing, sweep as of_record
@@ -296,12 +296,8 @@ def test_the_command_sweeps_the_reference_hand(tmp_path, capsys):
             lambda: Protocol(hold=1.5),
             r"hold = 1\.5 s must lie between 0 s and seconds_per_point = 1\.5 s",
         ),
-        (
-            lambda: JointCamera(rate_hz=0.0),
-            r"rate_hz=0\.0, .*rate_hz \[Hz\], wander_time \[s\] must be greater than 0",
-        ),
     ],
 )
-def test_a_faulty_protocol_or_camera_is_told(faulty, message):
+def test_a_faulty_protocol_is_told(faulty, message):
     with pytest.raises(ParameterError, match=message):
         faulty()
