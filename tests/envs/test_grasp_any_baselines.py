@@ -4,18 +4,20 @@ tests/envs/test_grasp_any_baselines.py` prints it.
 Nothing that is no grasp is paid as well as an honest closure; the script holds some of the real
 objects, and closures that are drawn at random for an episode until one holds, most of them."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator
 
+import gymnasium
 import numpy as np
 import pytest
 
-from hpac_gym.envs import GraspAny, HandVectorEnv
+from hpac_gym.evaluation.evaluate import evaluate
 from hpac_gym.evaluation.statistics import wilson_interval
 from hpac_gym.model import HPAC, SERVO_INDEX, action_from_synergy
-from hpac_gym.tasks.task import CONTROL_HZ, RUNNING, SUCCESS
+from hpac_gym.policies.policy import EpisodePolicy
+from hpac_gym.registration import GRASP_ANY
+from hpac_gym.tasks.task import CONTROL_HZ
 from tools.any_closures import Player, first_winners
 
-N = 64
 TRIES = 64
 OPEN = np.zeros(6)
 OPEN[SERVO_INDEX["thumb_cmc"]] = 1.2
@@ -69,73 +71,41 @@ EXPLOITS = {
 """Synergies by the time since an episode began [s]."""
 
 
-class Hands:
-    """`N` episodes at a time of one split.
+class Exploit(EpisodePolicy):
+    """Moves as one of `EXPLOITS`."""
 
-    Attributes:
-        total: their returns.
-        won: whether they are won.
-        force: their holding forces [N].
-    """
+    def __init__(self, env: gymnasium.Env, name: str) -> None:
+        self.synergy = EXPLOITS[name]
 
-    def __init__(self, objects: str) -> None:
-        self.task = GraspAny(objects)
-        self.envs = HandVectorEnv(self.task, N, "Disabled", engine="mujoco")
+    def _act(self, observation, memory):
+        step = (memory or 0) + 1
+        return action_from_synergy(self.synergy(step / CONTROL_HZ)), step
 
-    def play(self, seeds: Sequence[int], act: Callable[[int, np.ndarray], np.ndarray]) -> "Hands":
-        """Play the episodes of `N` seeds with the actions, shape (N, 6), of a step and the first
-        observations.
-        """
-        first, _ = self.envs.reset(seed=list(seeds))
-        episodes = self.envs.episodes
-        over = np.zeros(N, bool)
-        self.total = np.zeros(N)
-        self.force = np.zeros(N)
-        self.won = np.zeros(N, bool)
-        for step in range(round(self.task.duration * CONTROL_HZ)):
-            self.total += np.where(over, 0.0, episodes.step(act(step, first)))
-            ended = (episodes.outcome != RUNNING) & ~over
-            self.won |= ended & (episodes.outcome == SUCCESS)
-            self.force[ended] = episodes.task.report(episodes.now)["holding_force"][ended]
-            over |= ended
-        assert over.all()
-        return self
 
-    def play_script(self, seeds: Sequence[int]) -> "Hands":
-        """Play episodes with the scripted closure."""
-        scripts = [self.task.script() for _ in seeds]
-        for script in scripts:
-            script.reset()
-        return self.play(
-            seeds,
-            lambda _, first: np.array(
-                [one.act(row) for one, row in zip(scripts, first, strict=True)]
-            ),
-        )
+def played(policy: str, count: int, first: int = 0, objects: str = "train") -> Iterator[np.ndarray]:
+    """Returns, successes and holding forces [N] of episodes of a policy from a seed on."""
+    options = {"engine": "mujoco", "objects": objects}
+    found = evaluate([policy], GRASP_ANY, count, seed_start=first, options=options)
+    (episodes,) = found.episodes.values()
+    for name in ("total_reward", "success", "holding_force"):
+        yield np.array([getattr(episode, name) for episode in episodes])
 
 
 @pytest.fixture(scope="module")
 def honest():
-    """The scripted closure on training objects."""
-    hands = Hands("train").play_script(range(N))
-    hands.envs.close()
-    return hands
+    """Returns and successes of the scripted closure on training objects."""
+    paid, won, _ = played("scripted", 64)
+    return paid, won
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", EXPLOITS)
 def test_no_exploit_is_paid_as_well_as_an_honest_closure(name, honest):
-    synergy = EXPLOITS[name]
-    hands = Hands("train")
-    hands.play(
-        range(N),
-        lambda step, _: np.tile(action_from_synergy(synergy((step + 1) / CONTROL_HZ)), (N, 1)),
-    )
-    hands.envs.close()
-    for about, found in ((name, hands), ("honest", honest)):
-        print(f"{about}: return {found.total.mean():.2f}, success {found.won.mean():.2f}")
-    assert hands.total.mean() < honest.total.mean() - 1.0
-    assert hands.total[~hands.won].max(initial=-9.0) < honest.total[honest.won].min(), (
+    paid, won, _ = played(f"{__name__}:Exploit:{name}", 64)
+    for about, (total, successes) in ((name, (paid, won)), ("honest", honest)):
+        print(f"{about}: return {total.mean():.2f}, success {successes.mean():.2f}")
+    assert paid.mean() < honest[0].mean() - 1.0
+    assert paid[~won].max(initial=-9.0) < honest[0][honest[1]].min(), (
         "a loss is paid less than any success"
     )
 
@@ -143,19 +113,12 @@ def test_no_exploit_is_paid_as_well_as_an_honest_closure(name, honest):
 @pytest.mark.slow
 @pytest.mark.parametrize(("objects", "most"), [("train", 0.8), ("test", 0.85), ("real", 0.6)])
 def test_the_script_leaves_headroom(objects, most):
-    hands = Hands(objects)
-    won = []
-    force = []
-    for first in range(1_000_000, 1_000_000 + 4 * N, N):
-        hands.play_script(range(first, first + N))
-        won = [*won, *hands.won]
-        force = [*force, *hands.force]
-    hands.envs.close()
-    low, high = wilson_interval(int(np.sum(won)), len(won))
+    _, won, force = played("scripted", 256, 1_000_000, objects)
+    low, high = wilson_interval(int(won.sum()), len(won))
     print(
-        f"{objects}: script {np.mean(won):.3f} [{low:.3f}, {high:.3f}] of {len(won)}, holding force {np.mean(force):.1f} N"
+        f"{objects}: script {won.mean():.3f} [{low:.3f}, {high:.3f}] of {len(won)}, holding force {force.mean():.1f} N"
     )
-    assert 0.35 < np.mean(won) < most
+    assert 0.35 < won.mean() < most
 
 
 @pytest.mark.slow
