@@ -140,9 +140,9 @@ def test_mass_and_friction_are_not_seen(obs):
     np.testing.assert_array_equal(first, second)
 
 
-def test_a_horn_that_stays_behind_tells_an_object_from_none():
+def test_a_horn_that_stays_behind_tells_an_object_from_none(opened):
     """Held digits of 60 closures; the commands and the horns of ideal servos cannot tell."""
-    env = gymnasium.make_vec("HPAC-GraspAny-v1", num_envs=60, engine="mujoco", obs="load")
+    env = opened(gymnasium.make_vec(ID, num_envs=60, engine="mujoco", obs="load"))
     episodes = env.unwrapped.episodes
     actions = np.random.default_rng(0).uniform(-0.3, 0.9, (60, 6))
     found = []
@@ -158,7 +158,6 @@ def test_a_horn_that_stays_behind_tells_an_object_from_none():
         behind = 0.1 * episodes.observe()[:, env.unwrapped.slices["horn_lag"]][:, :5]
         state = episodes.simulation.state()
         found.append((behind, state.joint_pos[:, ROOTS], state.horn, episodes.outcome))
-    env.close()
     (lag, root, horn, outcome), (free_lag, free_root, free_horn, _) = found
     # Digits that do not press on each other without an object, in episodes that still run.
     clear = (np.abs(free_lag) < 0.02) & (outcome == 0)[:, None]
@@ -170,9 +169,9 @@ def test_a_horn_that_stays_behind_tells_an_object_from_none():
 
 
 @pytest.mark.parametrize("options", [{"hands": "train"}, {"hands": "test", "model": "calibrated"}])
-def test_horn_lag_hides_the_servo_zeros(options):
+def test_horn_lag_hides_the_servo_zeros(options, opened):
     """Of a hand that keeps still only pulling tendons hold horns back."""
-    env = gymnasium.make_vec(ID, num_envs=32, engine="mujoco", obs="load", **options)
+    env = opened(gymnasium.make_vec(ID, num_envs=32, engine="mujoco", obs="load", **options))
     env.reset(seed=0)
     episodes = env.unwrapped.episodes
     for _ in range(11):
@@ -180,7 +179,6 @@ def test_horn_lag_hides_the_servo_zeros(options):
     lag = 0.1 * episodes.observe()[:, env.unwrapped.slices["horn_lag"]]
     lag[:, :5] -= episodes._camera._behind(episodes.now.state, np.arange(32))
     zero = np.array([setup.hand_settings.servo_zero for setup in episodes.setups])
-    env.close()
     assert np.abs(zero).max() > 0.05
     np.testing.assert_allclose(lag, 0.0, atol=ServoSenses().horn_step)
 

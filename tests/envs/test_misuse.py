@@ -127,13 +127,12 @@ def test_an_unknown_option_is_refused_with_those_that_the_id_has(make):
     "take", [copy.copy, copy.deepcopy, pickle.dumps], ids=["copy", "deepcopy", "pickle"]
 )
 @pytest.mark.parametrize("made", MAKERS)
-def test_what_has_a_physics_world_cannot_be_copied(made, take):
-    original = MAKERS[made]()
+def test_what_has_a_physics_world_cannot_be_copied(made, take, opened):
+    original = opened(MAKERS[made]())
     if take is copy.copy and made == "made by its id":
         take = lambda env: copy.copy(env.unwrapped)  # noqa: E731  a wrapper's own copy wraps the same environment
     with pytest.raises(TypeError, match="a physics world cannot be copied or pickled: make a new"):
         take(original)
-    original.close()
 
 
 def a_setup(**change) -> SceneSetup:
@@ -207,9 +206,9 @@ GOALS = [
     [("HandEnv", *row) for row in SETUPS] + [("GoalEnv", *row) for row in GOALS],
 )
 def test_a_reset_that_is_refused_names_what_is_wrong_and_leaves_no_episode_running(
-    make, options, error, message
+    make, options, error, message, opened
 ):
-    env = MAKERS[make]()
+    env = opened(MAKERS[make]())
     env.reset(seed=0)
     with pytest.raises(error, match=message):
         env.reset(options=options)
@@ -217,7 +216,6 @@ def test_a_reset_that_is_refused_names_what_is_wrong_and_leaves_no_episode_runni
         env.step(np.zeros(6, np.float32))
     env.reset(seed=0, options={})
     env.step(np.zeros(6, np.float32))
-    env.close()
 
 
 @pytest.mark.parametrize(
@@ -258,13 +256,12 @@ def test_a_setup_that_is_no_episode_of_its_task_is_refused(env_id, change, messa
             env.reset(options={"setup": replace(drawn, **change)})
 
 
-def test_one_environment_takes_a_list_of_one_setup():
-    envs = gymnasium.make_vec(GRASP, num_envs=1)
+def test_one_environment_takes_a_list_of_one_setup(opened):
+    envs = opened(gymnasium.make_vec(GRASP, num_envs=1))
     envs.reset(options={"setup": [EASY]})
     assert envs.unwrapped.episodes.setups[0].object == EASY.object
     with pytest.raises(ParameterError, match="2 setups were given for 1 environments"):
         envs.reset(options={"setup": [EASY, EASY]})
-    envs.close()
 
 
 def test_a_setup_of_lists_is_that_of_its_arrays_and_tuples():

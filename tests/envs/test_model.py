@@ -83,14 +83,13 @@ def test_a_shipped_policy_takes_a_calibrated_hand_without_a_remark(calibrated, n
 
 
 @pytest.mark.parametrize("model", ["calibrated", "hand"])
-def test_a_batch_of_held_out_hands_is_commanded_like_single_ones_to_the_bit(model):
+def test_a_batch_of_held_out_hands_is_commanded_like_single_ones_to_the_bit(model, opened):
     options = {"engine": "mujoco", "hands": "test", "objects": "real", "model": model}
     rng = np.random.default_rng(0)
     actions = rng.uniform(-1, 1, (6, 3, 6)).astype(np.float32)
-    batch = gymnasium.make_vec("HPAC-GraspAny-v1", 3, autoreset_mode="Disabled", **options)
+    batch = opened(gymnasium.make_vec("HPAC-GraspAny-v1", 3, autoreset_mode="Disabled", **options))
     seen, _ = batch.reset(seed=[5, 6, 7])
     many = [seen] + [batch.step(action)[0] for action in actions]
-    batch.close()
     with gymnasium.make("HPAC-GraspAny-v1", **options) as env:
         for world in range(3):
             one = [env.reset(seed=5 + world)[0]] + [

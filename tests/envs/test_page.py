@@ -63,8 +63,10 @@ def nodes(env) -> set[str]:
     return set(env.unwrapped.episodes.pictures.page._server.scene._handle_from_node_name)
 
 
-def test_every_episode_has_its_own_object_on_the_page():
-    env = gymnasium.make("HPAC-GraspAny-v1", engine="mujoco", objects="real", render_mode="human")
+def test_every_episode_has_its_own_object_on_the_page(opened):
+    env = opened(
+        gymnasium.make("HPAC-GraspAny-v1", engine="mujoco", objects="real", render_mode="human")
+    )
     seen = []
     for seed in (0, 1, 2, 0):
         env.reset(seed=seed)
@@ -73,11 +75,12 @@ def test_every_episode_has_its_own_object_on_the_page():
         assert len(solids) == len(env.unwrapped.episodes.setups[0].object.model.solids)
     assert seen[0] == seen[3]
     assert len({len(names) for names in seen}) > 1
-    env.close()
 
 
-def test_a_vector_shows_its_first_environment_and_a_posture_its_goal(told):
-    envs = gymnasium.make_vec("HPAC-Posture-v1", num_envs=2, engine="mujoco", render_mode="human")
+def test_a_vector_shows_its_first_environment_and_a_posture_its_goal(told, opened):
+    envs = opened(
+        gymnasium.make_vec("HPAC-Posture-v1", num_envs=2, engine="mujoco", render_mode="human")
+    )
     envs.reset(seed=0)
     envs.step(np.full((2, 6), 0.3, np.float32))
     assert envs.render() is None
@@ -89,4 +92,3 @@ def test_a_vector_shows_its_first_environment_and_a_posture_its_goal(told):
     page = envs.unwrapped.episodes.pictures.page
     assert page._hands["goal"].palm.visible
     assert not page._hands["elastic"].palm.visible
-    envs.close()

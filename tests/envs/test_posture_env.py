@@ -63,9 +63,9 @@ def test_the_obvious_action_reaches_every_goal(engine):
         assert all(reached(env, seed) for seed in range(200))
 
 
-def test_an_integral_controller_passes_the_constant_action_where_the_hand_is_another_one():
+def test_an_integral_controller_passes_the_constant_action_where_the_hand_is_another_one(opened):
     """What the page's table says, with fewer episodes."""
-    envs = gymnasium.make_vec(ID, num_envs=24, engine="mujoco")
+    envs = opened(gymnasium.make_vec(ID, num_envs=24, engine="mujoco"))
     rates = []
     for policy in (ScriptedPosture(), OBVIOUS):
         observation, _ = envs.reset(seed=7000)
@@ -73,12 +73,11 @@ def test_an_integral_controller_passes_the_constant_action_where_the_hand_is_ano
         for _ in range(40):
             observation, *_, infos = envs.step(policy.act(observation))
         rates.append(infos["is_success"].mean())
-    envs.close()
     assert rates[0] > 0.8
     assert rates[1] < 0.1
 
 
-def test_it_has_a_hand_of_its_own_in_every_episode():
+def test_it_has_a_hand_of_its_own_in_every_episode(opened):
     with gymnasium.make(ID) as env:
         assert set(env.reset(seed=0)[1]["randomized"]) == {
             "tendon_stiffness",
@@ -86,9 +85,8 @@ def test_it_has_a_hand_of_its_own_in_every_episode():
             "joint_friction",
             "skin_friction",
         }
-    envs = gymnasium.make_vec(ID, num_envs=2, engine="mujoco")
+    envs = opened(gymnasium.make_vec(ID, num_envs=2, engine="mujoco"))
     assert envs.get_attr("randomization") == (PRESETS["hand"],) * 2
-    envs.close()
 
 
 def test_compute_reward_is_vectorised_and_what_step_returns():
@@ -108,8 +106,8 @@ def test_compute_reward_is_vectorised_and_what_step_returns():
     assert rewards[-1] == 0.0
 
 
-def test_sparse_reward_is_zero_within_the_tolerance_of_every_joint():
-    env = GoalEnv(Posture(), reward="sparse")
+def test_sparse_reward_is_zero_within_the_tolerance_of_every_joint(opened):
+    env = opened(GoalEnv(Posture(), reward="sparse"))
     goal = np.zeros(len(JOINTS))
     near = goal.copy()
     far = goal.copy()
@@ -118,7 +116,6 @@ def test_sparse_reward_is_zero_within_the_tolerance_of_every_joint():
     np.testing.assert_array_equal(
         env.compute_reward(np.array([goal, near, far]), goal, {}), [0, 0, -1]
     )
-    env.close()
 
 
 def test_the_achieved_goal_is_measured_by_a_camera(env):

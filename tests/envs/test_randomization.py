@@ -60,11 +60,11 @@ def test_the_task_draws_the_same_episode_with_and_without_randomization():
 
 
 @pytest.mark.parametrize("name", BOUNDS)
-def test_each_quantity_alone_changes_the_trajectory_and_only_within_its_range(name):
+def test_each_quantity_alone_changes_the_trajectory_and_only_within_its_range(name, opened):
     low, high = BOUNDS[name]
     chosen = Randomization(**{name: (low + 0.6 * (high - low), low + 0.7 * (high - low))})
-    env = HandEnv(Grasp(), randomize=chosen)
-    plain = HandEnv(Grasp())
+    env = opened(HandEnv(Grasp(), randomize=chosen))
+    plain = opened(HandEnv(Grasp()))
     observation, info = env.reset(seed=1)
     values = np.array(info["randomized"][name])
     assert np.all((values >= getattr(chosen, name)[0]) & (values <= getattr(chosen, name)[1]))
@@ -82,8 +82,6 @@ def test_each_quantity_alone_changes_the_trajectory_and_only_within_its_range(na
             break
     assert differs or name in ("object_mass", "object_friction")
     assert env.hand == plain.hand == HPAC, "the policy's model of the hand is the nominal one"
-    env.close()
-    plain.close()
 
 
 def test_the_simulated_hand_has_what_was_drawn():
@@ -168,7 +166,7 @@ def test_a_lying_object_lies_on_its_board_wherever_it_is_moved(offset):
 
 
 @pytest.mark.parametrize("corner", [0, 1])
-def test_the_physics_stays_stable_at_the_ends_of_every_range(corner):
+def test_the_physics_stays_stable_at_the_ends_of_every_range(corner, opened):
     """Stiff, slack-free hands and soft, slack ones: closed hard, no joint leaves its limits or
     trembles on.
     """
@@ -177,7 +175,9 @@ def test_the_physics_stays_stable_at_the_ends_of_every_range(corner):
         for name, bounds in BOUNDS.items()
         if name != "object_position"
     }
-    env = HandEnv(Grasp(), randomize=Randomization(**(ends | {"dropped_frames": (0.0, 0.0)})))
+    env = opened(
+        HandEnv(Grasp(), randomize=Randomization(**(ends | {"dropped_frames": (0.0, 0.0)})))
+    )
     env.reset(
         seed=0,
         options={"setup": dataclasses.replace(setup_of(), position=np.array([0.2, 0.0, 0.3]))},
@@ -189,4 +189,3 @@ def test_the_physics_stays_stable_at_the_ends_of_every_range(corner):
     assert np.all(state.joint_pos < HPAC.joint_max + 0.1)
     assert np.all(state.joint_pos > HPAC.joint_min - 0.1)
     assert np.all(np.abs(state.joint_vel) < 0.5)
-    env.close()

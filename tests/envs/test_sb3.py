@@ -19,11 +19,16 @@ GRASP = "HPAC-Grasp-v0"
 POSTURE = "HPAC-Posture-v1"
 
 
-def pair(name: str, num_envs: int = 3, **options) -> tuple[HandVecEnv, DummyVecEnv]:
-    options = options | {"engine": "mujoco"}
-    return HandVecEnv(name, num_envs, **options), DummyVecEnv(
-        [partial(gymnasium.make, name, **options)] * num_envs
-    )
+@pytest.fixture
+def pair(opened):
+    """Makes three environments of each kind."""
+
+    def make(name: str, **options) -> tuple[HandVecEnv, DummyVecEnv]:
+        options = options | {"engine": "mujoco"}
+        single = [partial(gymnasium.make, name, **options)] * 3
+        return opened(HandVecEnv(name, 3, **options)), opened(DummyVecEnv(single))
+
+    return make
 
 
 def actions(steps: int, num_envs: int = 3) -> np.ndarray:
@@ -43,7 +48,7 @@ def actions(steps: int, num_envs: int = 3) -> np.ndarray:
     ],
     ids=str,
 )
-def test_everything_that_a_learner_reads_is_as_in_dummy_vec_env(name, options, steps):
+def test_everything_that_a_learner_reads_is_as_in_dummy_vec_env(name, options, steps, pair):
     ours, its = pair(name, **options)
     assert (ours.observation_space, ours.action_space) == (its.observation_space, its.action_space)
     for venv in (ours, its):
@@ -69,8 +74,6 @@ def test_everything_that_a_learner_reads_is_as_in_dummy_vec_env(name, options, s
         np.testing.assert_equal(_plain(ours.reset_infos), _plain(its.reset_infos))
     assert ended >= 3
     assert (truncated > 0) == ("max_episode_steps" in options)
-    ours.close()
-    its.close()
 
 
 def dict_or_array(seen):
@@ -86,8 +89,8 @@ def _plain(value):
     return value.tolist() if isinstance(value, np.ndarray) else value
 
 
-def test_attributes_and_methods_reach_the_environments_that_are_named():
-    envs = HandVecEnv(GRASP, 3, engine="mujoco")
+def test_attributes_and_methods_reach_the_environments_that_are_named(opened):
+    envs = opened(HandVecEnv(GRASP, 3, engine="mujoco"))
     assert envs.metadata["render_fps"] == CONTROL_HZ  # of the films of VecVideoRecorder
     assert envs.get_attr("obs") == ["deploy"] * 3
     with gymnasium.make(GRASP, engine="mujoco") as env:
@@ -111,19 +114,17 @@ def test_attributes_and_methods_reach_the_environments_that_are_named():
         envs.reset()
     assert envs.env_is_wrapped(gymnasium.Wrapper) == [False] * 3
     assert envs.get_images() == [None] * 3
-    envs.close()
 
 
 @pytest.mark.pybullet
-def test_an_unknown_attribute_ends_no_process_of_pybullet():
-    envs = HandVecEnv(GRASP, 2, engine="pybullet")
+def test_an_unknown_attribute_ends_no_process_of_pybullet(opened):
+    envs = opened(HandVecEnv(GRASP, 2, engine="pybullet"))
     assert not envs.has_attr("nonsense")
     with pytest.raises(AttributeError, match=r"set_attr: 'foo' cannot be set.*randomization"):
         envs.set_attr("foo", 1)
     envs.set_attr("randomization", "full", indices=[1])
     assert envs.get_attr("randomization") == [PRESETS["nominal"], PRESETS["full"]]
     assert envs.reset().shape == (2, 44)
-    envs.close()
 
 
 @pytest.mark.parametrize(
@@ -133,37 +134,35 @@ def test_an_unknown_attribute_ends_no_process_of_pybullet():
         (GRASP, [{"setup": replace(EASY, yaw=0.1 * place)} for place in range(3)]),
     ],
 )
-def test_options_of_each_environment_are_as_in_dummy_vec_env(name, options):
+def test_options_of_each_environment_are_as_in_dummy_vec_env(name, options, pair):
     ours, its = pair(name)
     for given in (options, options[2]):
         for venv in (ours, its):
             venv.seed(7)
             venv.set_options(given)
         np.testing.assert_equal(ours.reset(), dict_or_array(its.reset()))
-    ours.close()
-    its.close()
 
 
 @pytest.mark.pybullet
-def test_on_pybullet_options_are_the_same_for_all():
-    envs = HandVecEnv(POSTURE, 2, engine="pybullet")
+def test_on_pybullet_options_are_the_same_for_all(opened):
+    envs = opened(HandVecEnv(POSTURE, 2, engine="pybullet"))
     envs.set_options([{"goal": np.zeros(15)}, {"goal": np.zeros(15)}])
     with pytest.raises(ParameterError, match=r"one for all, .*; given: goal"):
         envs.reset()
-    envs.close()
 
 
-def test_a_learner_of_each_kind_learns_on_it():
+def test_a_learner_of_each_kind_learns_on_it(opened):
     """PPO through the usual wrappers, and hindsight replay, which asks for rewards by
     `env_method`.
     """
-    envs = VecNormalize(VecMonitor(HandVecEnv(GRASP, 4, engine="mujoco", max_episode_steps=8)))
+    envs = opened(
+        VecNormalize(VecMonitor(HandVecEnv(GRASP, 4, engine="mujoco", max_episode_steps=8)))
+    )
     learner = PPO("MlpPolicy", envs, n_steps=10, batch_size=10, n_epochs=1, seed=0, device="cpu")
     learner.learn(40)
     assert len(learner.ep_info_buffer) >= 4
     assert len(learner.ep_success_buffer) >= 4
-    envs.close()
-    goals = HandVecEnv(POSTURE, 2, engine="mujoco", max_episode_steps=4)
+    goals = opened(HandVecEnv(POSTURE, 2, engine="mujoco", max_episode_steps=4))
     replay = SAC(
         "MultiInputPolicy",
         goals,
@@ -174,4 +173,3 @@ def test_a_learner_of_each_kind_learns_on_it():
     )
     replay.learn(14)
     assert replay.replay_buffer.sample(16).rewards.shape == (16, 1)
-    goals.close()

@@ -56,12 +56,12 @@ def told(env: gymnasium.Env, actions: np.ndarray) -> list:
     ids=str,
 )
 def test_the_same_actions_from_a_saved_state_give_the_same_steps_to_the_bit(
-    name, options, steps, engine
+    name, options, steps, engine, opened
 ):
     """Saved at the start, in contact and while lifting; each restored after another future, from
     which it has to come back.
     """
-    env = gymnasium.make(name, engine=engine, **options).unwrapped
+    env = opened(gymnasium.make(name, engine=engine, **options)).unwrapped
     rng = np.random.default_rng(3)
     actions = closing(steps, rng)
     # The wrist's place, which is chosen once more after the first state.
@@ -87,11 +87,10 @@ def test_the_same_actions_from_a_saved_state_give_the_same_steps_to_the_bit(
         np.testing.assert_equal(
             told(env, actions[number : number + 10]), rows[number : number + 10]
         )
-    env.close()
 
 
-def test_a_state_of_another_episode_or_environment_is_refused():
-    env, other = (gymnasium.make(GRASP).unwrapped for _ in range(2))
+def test_a_state_of_another_episode_or_environment_is_refused(opened):
+    env, other = (opened(gymnasium.make(GRASP)).unwrapped for _ in range(2))
     with pytest.raises(EpisodeError, match="reset"):
         env.save_state()
     env.reset(seed=0)
@@ -106,11 +105,10 @@ def test_a_state_of_another_episode_or_environment_is_refused():
     env.close()
     with pytest.raises(EpisodeError, match="closed"):
         env.restore_state(state)
-    other.close()
 
 
-def test_an_episode_that_is_over_goes_on_from_a_state_before_its_end():
-    env = gymnasium.make(GRASP).unwrapped
+def test_an_episode_that_is_over_goes_on_from_a_state_before_its_end(opened):
+    env = opened(gymnasium.make(GRASP)).unwrapped
     env.reset(seed=0)
     state = env.save_state()
     still = np.full((64, 6), -1, np.float32)
@@ -119,15 +117,13 @@ def test_an_episode_that_is_over_goes_on_from_a_state_before_its_end():
         env.step(still[0])
     env.restore_state(state)
     np.testing.assert_equal(told(env, still), first)
-    env.close()
 
 
-def test_nothing_is_saved_of_a_hand_at_the_far_end_of_a_wire():
-    env = gymnasium.make("HPAC-Posture-v1", transmit=lambda command: command).unwrapped
+def test_nothing_is_saved_of_a_hand_at_the_far_end_of_a_wire(opened):
+    env = opened(gymnasium.make("HPAC-Posture-v1", transmit=lambda command: command)).unwrapped
     env.reset(seed=0)
     with pytest.raises(EpisodeError, match="transmit"):
         env.save_state()
-    env.close()
 
 
 @pytest.mark.parametrize(
@@ -172,9 +168,9 @@ class Mindful(Forgetful):
     changing = (*Forgetful.changing, "count")
 
 
-def test_a_task_that_forgets_a_part_of_its_state_is_refused():
+def test_a_task_that_forgets_a_part_of_its_state_is_refused(opened):
     for task, forgotten in ((Forgetful(), ["task.count"]), (Mindful(), [])):
-        env = HandEnv(task, engine="mujoco")
+        env = opened(HandEnv(task, engine="mujoco"))
         env.reset(seed=0)
         step = partial(env.step, np.zeros(6))
         assert undeclared(env.episodes, step) == forgotten
@@ -182,4 +178,3 @@ def test_a_task_that_forgets_a_part_of_its_state_is_refused():
         step()
         env.restore_state(saved)
         assert (task.count[0] == 1) == (not forgotten)
-        env.close()

@@ -76,10 +76,8 @@ def assert_same(one, other) -> None:
 
 
 @pytest.fixture
-def envs():
-    made = ours()
-    yield made
-    made.close()
+def envs(opened):
+    return opened(ours())
 
 
 @pytest.mark.parametrize(
@@ -100,10 +98,12 @@ def envs():
     ],
     ids=str,
 )
-def test_everything_is_as_in_gymnasiums_own_over_the_ends_of_short_episodes(name, options, mode):
+def test_everything_is_as_in_gymnasiums_own_over_the_ends_of_short_episodes(
+    name, options, mode, opened
+):
     options = options | {"max_episode_steps": 3, "autoreset_mode": mode}
-    mine = ours(name, **options)
-    its = gymnasiums(name, **options)
+    mine = opened(ours(name, **options))
+    its = opened(gymnasiums(name, **options))
     assert mine.metadata == its.metadata
     assert (mine.observation_space, mine.action_space) == (its.observation_space, its.action_space)
     assert (mine.single_observation_space, mine.single_action_space) == (
@@ -126,8 +126,6 @@ def test_everything_is_as_in_gymnasiums_own_over_the_ends_of_short_episodes(name
             assert_same(
                 mine.reset(options={"reset_mask": over}), its.reset(options={"reset_mask": over})
             )
-    mine.close()
-    its.close()
 
 
 @pytest.mark.parametrize(
@@ -138,10 +136,13 @@ def test_everything_is_as_in_gymnasiums_own_over_the_ends_of_short_episodes(name
     ],
     ids=str,
 )
-def test_everything_is_as_in_gymnasiums_own_over_the_ends_of_whole_episodes(engine, reward, mode):
+def test_everything_is_as_in_gymnasiums_own_over_the_ends_of_whole_episodes(
+    engine, reward, mode, opened
+):
     """Some won, some lost, at different times; an action that counts for nothing may be NaN."""
     mine, its = (
-        make(engine=engine, reward=reward, autoreset_mode=mode) for make in (ours, gymnasiums)
+        opened(make(engine=engine, reward=reward, autoreset_mode=mode))
+        for make in (ours, gymnasiums)
     )
     assert_same(mine.reset(seed=[3, None, 8])[0][[0, 2]], its.reset(seed=[3, None, 8])[0][[0, 2]])
     # So that MuJoCo's hand keeps it too.
@@ -166,8 +167,6 @@ def test_everything_is_as_in_gymnasiums_own_over_the_ends_of_whole_episodes(engi
                 mine.reset(options={"reset_mask": over}), its.reset(options={"reset_mask": over})
             )
     assert outcomes >= {"running", "failure", "success"}
-    mine.close()
-    its.close()
 
 
 @pytest.mark.parametrize(
@@ -180,11 +179,11 @@ def test_everything_is_as_in_gymnasiums_own_over_the_ends_of_whole_episodes(engi
     ids=str,
 )
 def test_a_free_wrist_contacts_and_forces_of_every_step_are_as_in_gymnasiums_own(
-    name, options, noise
+    name, options, noise, opened
 ):
     """The script's actions, or with noise any."""
-    mine = gymnasium.make_vec(name, 3, engine="mujoco", **options)
-    its = gymnasiums(name, engine="mujoco", **options)
+    mine = opened(gymnasium.make_vec(name, 3, engine="mujoco", **options))
+    its = opened(gymnasiums(name, engine="mujoco", **options))
     scripts = [mine.task.script() for _ in range(3)]
     rng = np.random.default_rng(0)
     for script in scripts:
@@ -196,8 +195,6 @@ def test_a_free_wrist_contacts_and_forces_of_every_step_are_as_in_gymnasiums_own
         action = np.clip(action + noise * rng.uniform(-1, 1, action.shape), -1, 1)
         seen = mine.step(action)
         assert_same(seen, its.step(action))
-    mine.close()
-    its.close()
 
 
 @pytest.mark.parametrize("num_envs", [2, 7, 64])
@@ -221,24 +218,21 @@ def test_the_servos_of_many_hands_are_to_the_bit_those_of_each(num_envs):
             )
 
 
-def test_a_given_episode_and_a_given_goal_start_everywhere():
+def test_a_given_episode_and_a_given_goal_start_everywhere(opened):
     goal = np.full(15, 0.2)
     for name, options in ((GRASP, {"setup": EASY}), (POSTURE, {"goal": goal})):
-        mine = ours(name)
-        its = gymnasiums(name)
+        mine = opened(ours(name))
+        its = opened(gymnasiums(name))
         assert_same(mine.reset(seed=1, options=options), its.reset(seed=1, options=options))
         assert_same(mine.step(actions()[0]), its.step(actions()[0]))
-        mine.close()
-        its.close()
 
 
-def test_an_action_of_double_precision_is_not_rounded(envs):
-    its = gymnasiums()
+def test_an_action_of_double_precision_is_not_rounded(envs, opened):
+    its = opened(gymnasiums())
     action = np.random.default_rng(1).uniform(-1, 1, (3, 6))
     for vector in (envs, its):
         vector.reset(seed=0)
     assert_same(envs.step(action), its.step(action))
-    its.close()
 
 
 def test_what_was_returned_stays_as_it_was(envs):
@@ -262,9 +256,9 @@ def test_a_mask_resets_only_what_it_marks(envs):
     np.testing.assert_array_equal(infos["_is_success"], [False, True, False])
 
 
-def test_pictures_are_those_of_single_environments():
-    mine = ours(render_mode="rgb_array")
-    env = gymnasium.make(GRASP, render_mode="rgb_array")
+def test_pictures_are_those_of_single_environments(opened):
+    mine = opened(ours(render_mode="rgb_array"))
+    env = opened(gymnasium.make(GRASP, render_mode="rgb_array"))
     with pytest.raises(EpisodeError, match="reset"):
         mine.render()
     mine.reset(seed=0)
@@ -272,8 +266,6 @@ def test_pictures_are_those_of_single_environments():
     frames = mine.render()
     assert len(frames) == 3
     np.testing.assert_array_equal(frames[2], env.render())
-    mine.close()
-    env.close()
 
 
 def test_a_refused_action_is_named_as_alone_with_its_environment_and_the_rest_goes_on(envs):
@@ -298,10 +290,10 @@ def fail(envs, world: int) -> None:
 
 
 @pytest.mark.parametrize("name", IDS)
-def test_a_failed_simulation_ends_its_episode_as_a_failure_and_the_others_go_on(name):
+def test_a_failed_simulation_ends_its_episode_as_a_failure_and_the_others_go_on(name, opened):
     options = {"wrist": "script"} if name == GRASP_TYPE else {}
     envs, alone = (
-        gymnasium.make_vec(name, 3, engine="mujoco", autoreset_mode="NextStep", **options)
+        opened(gymnasium.make_vec(name, 3, engine="mujoco", autoreset_mode="NextStep", **options))
         for _ in range(2)
     )
     for each in (envs, alone):
@@ -330,8 +322,6 @@ def test_a_failed_simulation_ends_its_episode_as_a_failure_and_the_others_go_on(
             np.testing.assert_array_equal(got[[0, 2]], wanted[[0, 2]])
     with warnings.catch_warnings(action="error"):
         assert not envs.step(action)[2].any()
-    envs.close()
-    alone.close()
 
 
 def test_a_failed_simulation_ends_the_episode_of_a_single_environment():
@@ -347,8 +337,8 @@ def test_a_failed_simulation_ends_the_episode_of_a_single_environment():
         env.step(np.zeros(6))
 
 
-def test_without_autoreset_a_step_after_the_end_is_refused():
-    envs = ours(autoreset_mode="Disabled", max_episode_steps=1)
+def test_without_autoreset_a_step_after_the_end_is_refused(opened):
+    envs = opened(ours(autoreset_mode="Disabled", max_episode_steps=1))
     envs.reset(seed=0)
     envs.step(actions()[0])
     with pytest.raises(EpisodeError, match="reset"):
@@ -358,24 +348,33 @@ def test_without_autoreset_a_step_after_the_end_is_refused():
         envs.step(actions()[0])
     envs.reset(options={"reset_mask": np.array([False, False, True])})
     envs.step(actions()[0])
-    envs.close()
 
 
+@pytest.mark.parametrize("make", [ours, partial(gymnasium.make_vec, GRASP)], ids=["ours", "id"])
 @pytest.mark.parametrize(
-    ("options", "error"),
+    "options",
     [
-        ({"obs": "nonsense"}, ParameterError),
-        ({"autoreset_mode": "nonsense"}, ParameterError),
-        ({"num_envs": 0}, ParameterError),
-        ({"max_episode_steps": 0}, ParameterError),
-        ({"nonsense": 1}, TypeError),
-        ({"transmit": None}, TypeError),
+        {"obs": "nonsense"},
+        {"autoreset_mode": "nonsense"},
+        {"grasp": "nonsense"},
+        {"nonsense": 1},
+        {"num_envs": 0},
+        {"num_envs": 2.5},
+        {"max_episode_steps": 0},
     ],
     ids=str,
 )
-def test_a_wrong_option_is_named_at_once(options, error):
-    with pytest.raises(error, match=r"nonsense|num_envs = 0|max_episode_steps = 0|transmit"):
-        ours(**options)
+def test_a_wrong_option_is_named_at_once(make, options):
+    with pytest.raises(
+        (ParameterError, LookupError, TypeError),
+        match=r"nonsense|num_envs = (0|2\.5) |max_episode_steps = 0",
+    ):
+        make(**{"num_envs": 2} | options)
+
+
+def test_a_batch_has_no_wire():
+    with pytest.raises(TypeError, match="transmit"):
+        ours(transmit=None)
 
 
 @pytest.mark.parametrize(
@@ -417,9 +416,8 @@ def test_a_reset_that_is_refused_leaves_no_episode_running(envs):
         envs.step(actions()[0])
 
 
-def test_a_batch_takes_a_setup_for_each():
+def test_a_batch_takes_a_setup_for_each(envs):
     setups = [replace(EASY, yaw=0.1 * place) for place in range(3)]
-    envs = ours()
     seen, _ = envs.reset(seed=0, options={"setup": setups})
     for place, setup in enumerate(setups):
         alone, _ = envs.reset(seed=[place] * 3, options={"setup": setup})
@@ -432,18 +430,16 @@ def test_a_batch_takes_a_setup_for_each():
         envs.reset(options={"setup": setups[:2]})
     with pytest.raises(ParameterError, match=r"must be a SceneSetup .* not None"):
         envs.reset(options={"setup": [*setups[:2], None]})
-    envs.close()
 
 
-def test_a_batch_takes_a_goal_for_each():
-    envs = ours(POSTURE)
+def test_a_batch_takes_a_goal_for_each(opened):
+    envs = opened(ours(POSTURE))
     goals = [np.full(15, 0.1 * place) for place in range(3)]
     seen, _ = envs.reset(seed=0, options={"goal": goals})
     np.testing.assert_allclose(seen["desired_goal"], goals, atol=1e-6)
     for one in (goals[1], goals[1].tolist()):
         seen, _ = envs.reset(options={"goal": one})
         np.testing.assert_allclose(seen["desired_goal"], [goals[1]] * 3, atol=1e-6)
-    envs.close()
 
 
 def test_a_closed_vector_says_so(envs):
@@ -463,67 +459,45 @@ def test_a_closed_vector_says_so(envs):
 @pytest.mark.parametrize(
     "name", [GRASP, *(pytest.param(name, marks=pytest.mark.slow) for name in IDS if name != GRASP)]
 )
-def test_make_vec_on_pybullet_makes_gymnasiums_processes_with_the_same_episodes(name):
+def test_make_vec_on_pybullet_makes_gymnasiums_processes_with_the_same_episodes(name, opened):
     options = {
         "max_episode_steps": 3,
         "reward": "sparse",
         "autoreset_mode": AutoresetMode.SAME_STEP,
     }
-    made = gymnasium.make_vec(f"hpac_gym:{name}", num_envs=2, engine="pybullet", **options)
-    its = gymnasiums(name, 2, engine="pybullet", **options)
+    made = opened(gymnasium.make_vec(f"hpac_gym:{name}", num_envs=2, engine="pybullet", **options))
+    its = opened(gymnasiums(name, 2, engine="pybullet", **options))
     assert type(made) is AsyncVectorEnv
     assert made.spec.id == name
     assert made.metadata == its.metadata
     assert_same(made.reset(seed=5)[0], its.reset(seed=5)[0])
     for action in actions(2, 5, size=made.single_action_space.shape[0]):
         assert_same(made.step(action)[:4], its.step(action)[:4])
-    made.close()
-    its.close()
 
 
-def test_make_vec_makes_one_vector_environment():
-    with_limit = gymnasium.make_vec(POSTURE, num_envs=2)
+def test_make_vec_makes_one_vector_environment(opened):
+    with_limit = opened(gymnasium.make_vec(POSTURE, num_envs=2))
     assert type(with_limit) is HandVectorEnv
     with_limit.reset(seed=0)
     for _ in range(40):
         *_, truncated, _ = with_limit.step(actions(2)[0])
     assert truncated.all()
-    with_limit.close()
     with gymnasium.make(GRASP, grasp="hook") as env:
-        hooks = gymnasium.make_vec(GRASP, num_envs=2, grasp="hook")
+        hooks = opened(gymnasium.make_vec(GRASP, num_envs=2, grasp="hook"))
         np.testing.assert_array_equal(hooks.reset(seed=4)[0][0], env.reset(seed=4)[0])
-    hooks.close()
 
 
-@pytest.mark.parametrize(
-    "options",
-    [
-        {"num_envs": 0},
-        {"num_envs": 2.5},
-        {"obs": "nonsense"},
-        {"grasp": "nonsense"},
-        {"autoreset_mode": "nonsense"},
-    ],
-)
-def test_make_vec_names_a_wrong_option(options):
-    with pytest.raises(
-        (ParameterError, LookupError, ValueError), match=r"num_envs = (0|2\.5) |nonsense"
-    ):
-        gymnasium.make_vec(GRASP, **{"num_envs": 2} | options)
-
-
-def test_wrappers_of_single_environments_and_of_the_whole_batch():
+def test_wrappers_of_single_environments_and_of_the_whole_batch(opened):
     """Gymnasium's `make_vec` takes `wrappers` in its own two modes alone."""
     options = {"engine": "mujoco", "num_envs": 2}
-    each = gymnasium.make_vec(
-        POSTURE, vectorization_mode="sync", wrappers=[ClipAction, FlattenObservation], **options
+    wrappers = [ClipAction, FlattenObservation]
+    each = opened(
+        gymnasium.make_vec(POSTURE, vectorization_mode="sync", wrappers=wrappers, **options)
     )
-    whole = VectorFlatten(VectorClip(gymnasium.make_vec(POSTURE, **options)))
+    whole = opened(VectorFlatten(VectorClip(gymnasium.make_vec(POSTURE, **options))))
     for envs in (each, whole):
         envs.reset(seed=0)
     assert_same(*(envs.step(np.full((2, 6), 1.5, np.float32))[:4] for envs in (each, whole)))
-    for envs in (each, whole):
-        envs.close()
 
 
 def running(process: int) -> bool:
