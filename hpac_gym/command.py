@@ -84,32 +84,36 @@ def run(command: Callable[[], int], unheard: bool = False) -> int:
             if sys.stdout is not None:
                 sys.stdout.flush()
     except BrokenPipeError:
-        if sys.stdout is None:
+        if not _reader_has_left():
             raise
-        if hasattr(select, "poll"):  # not on Windows
-            output = select.poll()
-            output.register(sys.stdout, 0)  # its errors alone
-            if not output.poll(0):
-                raise
-        drop_output()  # the reader of the output has closed it
+        drop_output()
         return 0
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return INTERRUPTED
-    except Exception as error:
-        if isinstance(error, HpacError):
-            return complain(str(error))
+    except HpacError as error:
+        return complain(str(error))
+    except ModuleNotFoundError as error:
         if missing := missing_extra(error):
             return complain(f"this command needs more: {missing}")
-        # Errors of other files have a filename.
-        if (
-            isinstance(error, OSError)
-            and error.filename is None
-            and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO)
-        ):
-            drop_output()
-            return complain(f"cannot write to standard output: {error.strerror}")
         raise
+    except OSError as error:
+        # Errors of other files have a filename.
+        if error.filename or error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EIO):
+            raise
+        drop_output()
+        return complain(f"cannot write to standard output: {error.strerror}")
+
+
+def _reader_has_left() -> bool:
+    """Whether nobody reads standard output any more; assumed where it cannot be asked, as on
+    Windows.
+    """
+    if sys.stdout is None or not hasattr(select, "poll"):
+        return sys.stdout is not None
+    output = select.poll()
+    output.register(sys.stdout, 0)  # its errors alone
+    return bool(output.poll(0))
 
 
 def missing_extra(error: BaseException) -> str | None:

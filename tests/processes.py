@@ -1,7 +1,26 @@
-"""Waiting for other processes, and dying like one."""
+"""Other processes: running one, waiting for them, and dying like one."""
 
+import os
+import subprocess
+import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def python(*words: str, folder: Path = ROOT, **variables: str) -> subprocess.CompletedProcess[str]:
+    """A Python process that has this checkout on its path, after its end."""
+    return subprocess.run(
+        [sys.executable, *words],
+        cwd=folder,
+        env=os.environ | {"PYTHONPATH": str(ROOT)} | variables,
+        capture_output=True,
+        text=True,
+        timeout=600,
+        check=False,
+    )
 
 
 def wait_for(condition, seconds: float = 120) -> None:
@@ -22,5 +41,6 @@ def once_alive(function: Callable) -> Callable:
         if called:
             raise KeyboardInterrupt
         called.append(function(*given))
+        return called[0]
 
     return dying

@@ -221,7 +221,3 @@ def test_the_wheel_compiles_its_firmware_at_first_use_and_says_when_it_cannot(
     assert without.returncode == 2
     assert "there is no C compiler 'none'" in without.stderr
     assert len(without.stderr.splitlines()) == 1
-
-
-def test_the_command_of_the_wheel_tells_its_usage(clean_python, tmp_path):
-    assert "usage" in run(clean_python.with_name("hpac"), "--help", cwd=tmp_path).lower()

@@ -12,6 +12,7 @@ import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -169,21 +170,17 @@ def record(
             task = re.sub(r"-v\d+$", "", env_id.rpartition(":")[2].removeprefix("HPAC-")).lower()
             name = re.sub(r"[^-\w/]+", "-", f"hpac/{task}/{Path(policy).stem}") + "-v0"
             os.environ["MINARI_DATASETS_PATH"] = str(root)
-            buffers = []
-            for seed in progress(range(seed_start, seed_start + episodes), "episodes"):
-                buffers.append(_episode(env, actor, seed))
-                if len(buffers) == CHUNK or seed == seed_start + episodes - 1:
-                    _check_room(out.absolute().parent, buffers)
-                    if dataset is None:
-                        with warnings.catch_warnings(
-                            action="ignore"
-                        ):  # Minari warns about missing author data
-                            dataset = create_dataset_from_buffers(
-                                name, buffers, env=env, algorithm_name=policy, jpeg_encoding=False
-                            )
-                    else:
-                        dataset.update_dataset_from_buffer(buffers)
-                    buffers = []
+            seeds = progress(range(seed_start, seed_start + episodes), "episodes")
+            recorded = (_episode(env, actor, seed) for seed in seeds)
+            while buffers := list(islice(recorded, CHUNK)):
+                _check_room(out.absolute().parent, buffers)
+                if dataset is not None:
+                    dataset.update_dataset_from_buffer(buffers)
+                    continue
+                with warnings.catch_warnings(action="ignore"):  # of missing author data
+                    dataset = create_dataset_from_buffers(
+                        name, buffers, env=env, algorithm_name=policy, jpeg_encoding=False
+                    )
             shutil.move(root / name, root / "written")
         finally:
             env.close()

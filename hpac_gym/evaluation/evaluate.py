@@ -125,9 +125,10 @@ def run_block(
     return list(zip(*columns, strict=True))
 
 
-def block_of(env: gymnasium.Env[Any, Any], episodes: int, workers: int) -> int:
-    """Episodes per job of a worker: as many as a batch has, but a share for every worker."""
-    return min(BATCH if has_batch(env) else BLOCK, -(-episodes // workers))
+def parts_of(env: gymnasium.Env[Any, Any], seeds: Sequence[int], workers: int) -> list[Any]:
+    """The seeds of each job of a worker: as many as a batch has, but a share for every worker."""
+    size = min(BATCH if has_batch(env) else BLOCK, -(-len(seeds) // workers))
+    return [seeds[start : start + size] for start in range(0, len(seeds), size)]
 
 
 def evaluate(
@@ -156,7 +157,7 @@ def evaluate(
     with make_env(env_id, **options) as env:
         for name in names:
             load_policy(name, env, normalize)  # errors are raised here, not in a worker
-        block = block_of(env, episodes, workers)
+        parts = parts_of(env, range(seed_start, seed_start + episodes), workers)
         if isinstance(env.unwrapped, HandEnv):
             options |= {
                 name: getattr(env.unwrapped.episodes.options, name) for name in ("engine", "body")
@@ -164,11 +165,7 @@ def evaluate(
     several = len(set(names) - set(BASELINES)) > 1
     labels = [name if several or name in BASELINES else LEARNED for name in names]
     deadline = time.monotonic() + time_limit
-    seeds = range(seed_start, seed_start + episodes)
-    jobs = (
-        (names, env_id, options, seeds[start : start + block], normalize)
-        for start in range(0, episodes, block)
-    )
+    jobs = [(names, env_id, options, seeds, normalize) for seeds in parts]
     rows: list[tuple[Episode, ...]] = []
     with (
         closing(shared(run_block, jobs, workers)) as blocks,

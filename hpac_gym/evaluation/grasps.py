@@ -16,7 +16,7 @@ import numpy as np
 from hpac_gym.command import Formatter, whole_number
 from hpac_gym.evaluation.environment import make_env
 from hpac_gym.evaluation.episodes import run_episodes, worlds
-from hpac_gym.evaluation.evaluate import add_seeds_and_workers, block_of
+from hpac_gym.evaluation.evaluate import add_seeds_and_workers, parts_of
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import success_counts
 from hpac_gym.evaluation.workers import shared
@@ -123,9 +123,7 @@ def benchmark(
     with make_env(GRASP, grasp=grasps[0], **options) as env:
         for policy in policies:
             load_policy(policy, env, normalize)  # errors are raised here, not in a worker
-        block = block_of(env, episodes, workers)
-    seeds = range(seed_start, seed_start + episodes)
-    parts = [seeds[start : start + block] for start in range(0, episodes, block)]
+        parts = parts_of(env, range(seed_start, seed_start + episodes), workers)
     cells = [(policy, grasp) for grasp in grasps for policy in policies]
     jobs = [(policy, grasp, options, part, normalize) for policy, grasp in cells for part in parts]
     trials_of: dict[tuple[str, str], list[Trial]] = {cell: [] for cell in cells}
@@ -229,17 +227,14 @@ def run(options: argparse.Namespace) -> int:
     )
     write_text(options.out / "grasps.md", table(rows) + "\n")
 
-    shown = [row for row in rows if row.policy == options.policy]
-    seeds = [
-        next((trial.seed for trial in row.trials if trial.success), row.trials[-1].seed)
-        for row in shown
-    ]
-    jobs = [
-        (options.policy, row.grasp, seed, made, options.normalize)
-        for row, seed in zip(shown, seeds, strict=True)
-    ]
-    seen = zip(shown, shared(portrait, jobs, options.workers, "pictures"), strict=True)
-    write_pictures(options.out, {row.grasp: picture for row, picture in seen})
+    seeds = {
+        row.grasp: next((trial.seed for trial in row.trials if trial.success), row.trials[-1].seed)
+        for row in rows
+        if row.policy == options.policy
+    }
+    jobs = [(options.policy, grasp, seed, made, options.normalize) for grasp, seed in seeds.items()]
+    seen = shared(portrait, jobs, options.workers, "pictures")
+    write_pictures(options.out, dict(zip(seeds, seen, strict=True)))
     print(json.dumps(result, indent=2) if options.json else table(rows))
     print(f"written to {options.out}", file=sys.stderr)
     return 0

@@ -154,24 +154,19 @@ def faults_of_cells(results: Results, counted: Counter[tuple], wanted: Set[tuple
         for cell, count in counted.items()
         if count > 1
     )
-    for cell in results["cells"]:
-        yield from (
-            f"split '{cell['split']}' of seed {cell['seed']}: {fault}"
-            for fault in _cell_faults(cell, results)
-        )
-
-
-def _cell_faults(cell: Results, results: Results) -> Iterator[str]:
-    won = cell["successes"]
-    lost = sum(cell["failures"].values())
     episodes = results["episodes"]
-    if min(won, *cell["failures"].values(), 0) < 0 or won + lost != episodes:
-        yield f"{won} successes and {lost} failures do not make {episodes} episodes"
-    elif not _same(cell["interval_95"], list(wilson_interval(won, episodes))):
-        yield f"interval_95 {cell['interval_95']} is not Wilson's of {won} in {episodes}"
-    force = cell["holding_force"]
-    if force is not None and not (math.isfinite(force) and force >= 0.0 and (won or force == 0.0)):
-        yield f"holding_force is {force} N for {won} successes"
+    for cell in results["cells"]:
+        where = f"split '{cell['split']}' of seed {cell['seed']}"
+        won = cell["successes"]
+        lost = sum(cell["failures"].values())
+        if min(won, *cell["failures"].values(), 0) < 0 or won + lost != episodes:
+            yield f"{where}: {won} successes and {lost} failures do not make {episodes} episodes"
+        elif not _same(cell["interval_95"], list(wilson_interval(won, episodes))):
+            interval = cell["interval_95"]
+            yield f"{where}: interval_95 {interval} is not Wilson's of {won} in {episodes}"
+        force = cell["holding_force"]
+        if force is not None and not (0.0 <= force < math.inf and (won or force == 0.0)):
+            yield f"{where}: holding_force is {force} N for {won} successes"
 
 
 def _same(one: Any, other: Any) -> bool:

@@ -37,12 +37,11 @@ def success_counts(successes: int, episodes: int) -> dict[str, Any]:
     """Counts, rate and Wilson interval, by the names that they have in the JSON of every
     evaluation.
     """
-    interval = list(wilson_interval(successes, episodes))
     return {
         "episodes": episodes,
         "successes": successes,
         "success_rate": successes / episodes,
-        "interval_95": interval,
+        "interval_95": list(wilson_interval(successes, episodes)),
     }
 
 

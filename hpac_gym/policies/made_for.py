@@ -5,6 +5,7 @@ environment.
 import hashlib
 import warnings
 from collections.abc import Mapping
+from itertools import zip_longest
 from typing import Any
 
 import gymnasium
@@ -58,16 +59,11 @@ def difference(file: Mapping[str, Any], here: Mapping[str, Any]) -> str | None:
     for name in ("control_hz", "action"):
         if name in file and name in here and file[name] != here[name]:
             return f"{name} was {file[name]}, and is {here[name]}"
-    if "observation" not in file or "observation" not in here:
-        return None
-    old = file["observation"]
-    new = here["observation"]
-    for place in range(max(len(old), len(new))):
-        first, second = (
-            list(entries[place]) if place < len(entries) else None for entries in (old, new)
-        )
-        if first != second:
-            return f"observation entry {place} was {_told(first)}, and is {_told(second)}"
+    if "observation" in file and "observation" in here:
+        pairs = zip_longest(file["observation"], here["observation"])
+        for place, (old, new) in enumerate(pairs):
+            if old != new:
+                return f"observation entry {place} was {_told(old)}, and is {_told(new)}"
     return None
 
 
@@ -107,8 +103,9 @@ def require_fit(
     if told["env_id"].rpartition(":")[2] != here.rpartition(":")[2]:
         raise PolicyError(f"{what} was trained on {told['env_id']}, not on {here}")
     try:
+        hand_sha256 = made.get("hand_sha256")
         differs = difference(made, made_for(env))
-    except (TypeError, ValueError) as error:
+    except (AttributeError, TypeError, ValueError) as error:
         raise PolicyError(f"{what} is damaged: made_for is not readable: {error}") from None
     if differs:
         raise PolicyError(f"{what} does not fit {here}: {differs}")
@@ -119,7 +116,7 @@ def require_fit(
         raise PolicyError(f"{what} maps {sizes} values, {here} needs {wanted}{needs}")
     hand = _model(env)
     fitting = (None, *(_digest(hand_to_toml(one)) for one in (HPAC, hand)))
-    if made.get("hand_sha256") not in fitting:
+    if hand_sha256 not in fitting:
         remark = f"was made with another hand, and acts here with the model of '{hand.name}'"
         warnings.warn(f"{what} {remark}", stacklevel=3)
 

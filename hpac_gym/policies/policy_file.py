@@ -90,37 +90,28 @@ class PolicyFile:
         """The closures among which the actor decides; None if it sets actions.
 
         Raises:
-            PolicyError: The ranges are invalid, or do not match the number of the actor's outputs.
+            PolicyError: The ranges are invalid.
         """
-        if (ranges := self.about.get("closure")) is None:
-            return None
-        closures = Closures.of(ranges)
-        if self.actor.sizes[1] != len(closures.names):
-            raise PolicyError(
-                f"a closure takes {len(closures.names)} numbers, the actor sets {self.actor.sizes[1]}"
-            )
-        return closures
+        told = self.about.get("closure")
+        return None if told is None else Closures.of(told)
 
     @property
     def increments(self) -> Increments | None:
         """How the actor moves the hand from where it is; None if it does not.
 
         Raises:
-            PolicyError: They are invalid, or do not match the actor.
+            PolicyError: They are invalid.
         """
-        if (told := self.about.get("increments")) is None:
-            return None
-        moves = Increments.of(told)
-        observed, decided = self.actor.sizes
-        if observed % (moves.frames + 1) or decided != len(moves.start) or self.closures:
-            raise PolicyError(
-                f"increments do not fit an actor of {observed} values that sets {decided}"
-            )
-        return moves
+        told = self.about.get("increments")
+        return None if told is None else Increments.of(told)
 
     @property
     def sizes(self) -> tuple[int, int]:
-        """Numbers of observed values and of action values."""
+        """Numbers of observed values and of action values.
+
+        Raises:
+            PolicyError: The closures or increments are invalid, or do not fit the actor.
+        """
         return sizes_of(self.actor.sizes, self.closures, self.increments)
 
 
@@ -129,11 +120,22 @@ def sizes_of(
 ) -> tuple[int, int]:
     """Numbers of observed values and of action values, of the numbers of an actor's inputs and
     outputs and of how it decides.
+
+    Raises:
+        PolicyError: The actor has other numbers than its closures or increments.
     """
     observed, decided = actor
     if moves is not None:
+        if observed % (moves.frames + 1) or decided != len(moves.start) or closures:
+            raise PolicyError(
+                f"increments do not fit an actor of {observed} values that sets {decided}"
+            )
         return observed // (moves.frames + 1), decided
     if closures is not None:
+        if decided != len(closures.names):
+            raise PolicyError(
+                f"a closure takes {len(closures.names)} numbers, the actor sets {decided}"
+            )
         return observed, closures.actions(np.zeros((1, decided)), [0]).shape[1]
     return observed, decided
 

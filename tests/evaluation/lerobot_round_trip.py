@@ -44,20 +44,18 @@ def test_the_episodes_come_back_as_they_were(tmp_path, capsys):
             assert frame["task"] == "HPAC-Grasp-v0"
 
 
-def test_a_folder_appears_whole_or_not_at_all(tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("fault", "status", "told"),
+    [
+        (KeyboardInterrupt(), 130, "interrupted"),
+        (OSError(errno.ENOSPC, "No space left on device"), 2, "No space left on device"),
+    ],
+)
+def test_a_folder_appears_whole_or_not_at_all(fault, status, told, tmp_path, monkeypatch, capsys):
     def stop(*_):
-        raise KeyboardInterrupt
+        raise fault
 
     monkeypatch.setattr(LeRobotDataset, "save_episode", stop)
-    assert main([*WORDS, "--out", str(tmp_path / "lerobot")]) == 130
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_a_full_disk_is_one_line_and_leaves_nothing(tmp_path, monkeypatch, capsys):
-    def full(*_):
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr(LeRobotDataset, "save_episode", full)
-    assert main([*WORDS, "--out", str(tmp_path / "lerobot")]) == 2
-    assert capsys.readouterr().err.splitlines()[-1].endswith("No space left on device")
+    assert main([*WORDS, "--out", str(tmp_path / "lerobot")]) == status
+    assert capsys.readouterr().err.splitlines()[-1].endswith(told)
     assert list(tmp_path.iterdir()) == []

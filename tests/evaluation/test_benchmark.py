@@ -29,6 +29,7 @@ from hpac_gym.policies.policy import EpisodePolicy
 from hpac_gym.registration import GRASP_ANY, GRASP_TYPE, POSTURE
 from hpac_gym.tasks.task import RUNNING, SUCCESS
 from tests.options import called
+from tests.processes import once_alive
 
 TINY = "tests.tiny_task:Tiny-v0"
 RESULTS = Path(__file__).parents[2] / "docs" / "results"
@@ -122,29 +123,26 @@ def test_five_models_of_stable_baselines3_are_judged_with_their_statistics(tmp_p
         submit(tmp_path / "other.json", "--budget", "1e5", policy=f"{tmp_path}/{{seed}}/model.zip")
 
 
-def test_an_interrupted_call_goes_on_after_its_last_cell(tmp_path, monkeypatch, trained):
-    judged = []
+@pytest.fixture
+def judged(monkeypatch):
+    """Seed and split of every cell that is judged."""
+    cells = []
     judge = benchmark.judge
-
-    def interrupted(head, split, seed, workers):
-        if len(judged) == 3:
-            raise KeyboardInterrupt
-        judged.append((seed, split))
-        return judge(head, split, seed, workers)
-
-    path = tmp_path / "results.json"
-    monkeypatch.setattr(benchmark, "judge", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        submit(path, "--budget", "1e5")
-    assert len(json.loads(path.read_text())["cells"]) == 3
-    before = judged.copy()
-    judged.clear()
     monkeypatch.setattr(
-        benchmark, "judge", lambda *job: judged.append((job[2], job[1])) or judge(*job)
+        benchmark, "judge", lambda *job: cells.append((job[2], job[1])) or judge(*job)
     )
+    return cells
+
+
+def test_an_interrupted_call_goes_on_after_its_last_cell(tmp_path, monkeypatch, trained, judged):
+    path = tmp_path / "results.json"
+    with monkeypatch.context() as patch:
+        patch.setattr(benchmark, "judge", once_alive(benchmark.judge))
+        with pytest.raises(KeyboardInterrupt):
+            submit(path, "--budget", "1e5")
+    assert len(json.loads(path.read_text())["cells"]) == 1
     assert submit(path, "--budget", "1e5") | {"command": None} == trained | {"command": None}
-    assert len(judged) == 7
-    assert not set(judged) & set(before)
+    assert len(judged) == len(set(judged)) == 10
     with pytest.raises(
         ResultsError, match=r"holds results with policy '.*Pointer.*', not 'random'"
     ):
@@ -216,12 +214,7 @@ def test_a_file_from_before_a_split_stays_valid_and_is_marked(trained, added, mo
     assert any("is not that of this version" in fault for fault in faults(trained))
 
 
-def test_a_split_that_was_added_is_judged_alone(tmp_path, trained, added, monkeypatch):
-    judged = []
-    judge = benchmark.judge
-    monkeypatch.setattr(
-        benchmark, "judge", lambda *job: judged.append((job[2], job[1])) or judge(*job)
-    )
+def test_a_split_that_was_added_is_judged_alone(tmp_path, trained, added, judged):
     path = tmp_path / "results.json"
     path.write_text(json.dumps(trained))
     results = submit(path, "--budget", "1e5")
@@ -229,14 +222,6 @@ def test_a_split_that_was_added_is_judged_alone(tmp_path, trained, added, monkey
     assert not list(faults(results))
     assert results["env_sha256"] == env_hash(TINY) != trained["env_sha256"]
     assert results["cells"][:10] == trained["cells"]
-
-
-def test_the_hash_changes_with_the_files_of_calibrated_hands(tmp_path, monkeypatch):
-    alone = splits.ADDED[GRASP_ANY]
-    before = [env_hash(GRASP_ANY), env_hash(GRASP_ANY, alone)]
-    monkeypatch.setattr(splits, "FILES", tmp_path)
-    assert env_hash.__wrapped__(GRASP_ANY) != before[0]
-    assert env_hash.__wrapped__(GRASP_ANY, alone) == before[1]
 
 
 @pytest.mark.parametrize("cells", [None, [1], [{"seed": 0}], [{"seed": 9, "split": "nominal"}]])
@@ -317,10 +302,15 @@ def test_two_files_are_compared_by_the_probability_of_improvement(trained):
     assert ": 0.50 [" in comparison(trained, trained)
 
 
-def test_the_hash_changes_with_the_objects_and_the_splits(monkeypatch):
-    before = env_hash(GRASP_ANY)
+def test_the_hash_changes_with_the_objects_and_the_files_of_calibrated_hands(tmp_path, monkeypatch):
+    alone = splits.ADDED[GRASP_ANY]
+    before = [env_hash(GRASP_ANY), env_hash(GRASP_ANY, alone)]
+    with monkeypatch.context() as patch:
+        patch.setattr(splits, "FILES", tmp_path)
+        assert env_hash.__wrapped__(GRASP_ANY) != before[0]
+        assert env_hash.__wrapped__(GRASP_ANY, alone) == before[1]
     monkeypatch.setattr(splits, "object_set", lambda split: ())
-    assert env_hash.__wrapped__(GRASP_ANY) != before
+    assert env_hash.__wrapped__(GRASP_ANY, alone) != before[1]
 
 
 @pytest.mark.parametrize(

@@ -52,7 +52,8 @@ def by_hand(env, policy, seed):
     seen, _ = env.reset(seed=seed)
     state = None
     over = False
-    total, steps = 0.0, 0
+    total = 0.0
+    steps = 0
     while not over:
         action, state = policy.predict(seen, state)
         seen, reward, terminated, truncated, info = env.step(action)

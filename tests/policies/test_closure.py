@@ -130,20 +130,9 @@ def described():
     env.close()
 
 
-def test_an_environment_differs_from_itself_in_nothing(described):
-    assert len(described["observation"]) == 44
-    assert difference(described, described) is None
-
-
-@pytest.mark.parametrize(
-    ("change", "told"),
-    [
-        ({"control_hz": 50}, "control_hz was 50, and is 20"),
-        ({"action": ["index_mcp"]}, "action was"),
-    ],
-)
-def test_a_file_for_another_rate_or_layout_is_told_by_its_difference(described, change, told):
-    assert difference(described | change, described).startswith(told)
+def test_a_file_for_another_order_of_servos_is_told_by_its_difference(described):
+    other = described | {"action": ["index_mcp"]}
+    assert difference(other, described).startswith("action was ['index_mcp'], and is")
 
 
 def test_the_first_entry_that_differs_is_named(described):

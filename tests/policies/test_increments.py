@@ -1,16 +1,12 @@
 """Policies that move the hand by increments: what they see, what they remember, what they may be."""
 
-import gymnasium
 import numpy as np
 import pytest
 
 from hpac_gym.evaluation.evaluate import evaluate
 from hpac_gym.policies import LearnedPolicy, PolicyError
-from hpac_gym.policies.export import export
 from hpac_gym.policies.increments import Increments
-from hpac_gym.policies.loading import load_policy, needed_options
-from hpac_gym.policies.onnx_model import read_onnx
-from hpac_gym.policies.policy_file import SHIPPED
+from hpac_gym.policies.loading import load_policy
 from hpac_gym.registration import GENTLE
 from tests.policies.episodes import actions_of
 
@@ -69,15 +65,6 @@ def test_other_numbers_are_refused_in_one_line(told, says):
     assert "\n" not in str(caught.value)
 
 
-def test_the_shipped_one_says_which_observation_it_needs():
-    assert needed_options("gentle") == {"obs": "load"}
-    with (
-        gymnasium.make(GENTLE, engine="mujoco") as env,
-        pytest.raises(PolicyError, match=r"maps \(56, 6\) values, HPAC-Gentle-v0 needs \(45, 6\)"),
-    ):
-        load_policy("gentle", env)
-
-
 def test_it_needs_what_it_feels_and_the_mean_of_the_first():
     """Without the servos' load, or without what it remembers, it holds fewer."""
     options = {"engine": "mujoco", "body": "light", "obs": "load"}
@@ -102,22 +89,3 @@ def blind(env):
             return policy.predict(seen, state, episode_start)
 
     return Blind()
-
-
-def test_an_exported_one_acts_as_the_file_does(tmp_path):
-    pytest.importorskip("onnxruntime")
-    export(SHIPPED["gentle"], tmp_path)
-    assert "moves the hand from where it is" in (tmp_path / "README.md").read_text()
-    with gymnasium.make(GENTLE, engine="mujoco", obs="load") as env:
-        policy = load_policy("gentle", env)
-        exported = read_onnx(tmp_path, env)
-        seen = env.reset(seed=0)[0]
-        ours = []
-        state = other = None
-        for _ in range(30):
-            action, state = policy.predict(seen, state)
-            theirs, other = exported.predict(seen, other)
-            assert theirs == pytest.approx(action, abs=1e-5)
-            ours.append(action)
-            seen = env.step(action)[0]
-    assert np.ptp(ours, axis=0).max() > 0.1

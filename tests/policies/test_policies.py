@@ -1,19 +1,15 @@
 """Learned policies and baselines: when they decide, and how they are found."""
 
-import subprocess
-import sys
-from pathlib import Path
-
 import gymnasium
 import numpy as np
 import pytest
 
 from hpac_gym.envs.sb3 import HandVecEnv
-from hpac_gym.policies import LearnedPolicy, PolicyError
+from hpac_gym.policies import LearnedPolicy
 from hpac_gym.policies.loading import load_policy
 from tests.policies.episodes import actions_of
+from tests.processes import python
 
-ROOT = Path(__file__).resolve().parents[2]
 TINY = "tests.tiny_task:Tiny-v0"
 
 
@@ -90,13 +86,6 @@ def test_a_policy_is_evaluated_by_stable_baselines3_as_a_model_of_its_own():
     )
 
 
-def test_a_name_that_is_no_policy_is_told_with_those_that_are():
-    with pytest.raises(
-        PolicyError, match="no policy file 'best', and not one of random, scripted, gentle, grasp"
-    ):
-        load_policy("best", gymnasium.make(TINY))
-
-
 def test_a_policy_file_acts_without_simulator_gymnasium_and_torch():
     script = """
 import sys
@@ -109,7 +98,5 @@ action, _ = policy.predict([0.0] * file.actor.sizes[0])
 assert action.shape == (6,) and abs(action).max() <= 1
 assert not [name for name in sys.modules if name.startswith(("hpac_gym.physics", "hpac_gym.tasks", "hpac_gym.envs"))]
 """
-    done = subprocess.run(
-        [sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=False
-    )
+    done = python("-c", script)
     assert done.returncode == 0, done.stderr

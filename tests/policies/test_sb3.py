@@ -4,8 +4,6 @@ import contextlib
 import json
 import pickle
 import shutil
-import subprocess
-import sys
 import zipfile
 from copy import deepcopy
 from pathlib import Path
@@ -23,8 +21,8 @@ from hpac_gym.evaluation.evaluate import evaluate
 from hpac_gym.policies import PolicyError
 from hpac_gym.policies.loading import about, load_policy
 from hpac_gym.policies.sb3 import statistics_of
+from tests.processes import python
 
-ROOT = Path(__file__).resolve().parents[2]
 TINY = "tests.tiny_task:Tiny-v0"
 ON_POLICY = {"n_steps": 16}
 OFF_POLICY = {"learning_starts": 20, "policy_kwargs": {"net_arch": [16]}}
@@ -248,7 +246,7 @@ sys.modules["stable_baselines3"] = None
 import hpac
 sys.exit(hpac.main(["evaluate", "--policy", "{saved}/model.zip", "--env", "{TINY}", "--episodes", "2"]))
 """
-    done = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True)
+    done = python("-c", script)
     assert done.returncode == 2
     (line,) = done.stderr.splitlines()
     assert "stable_baselines3" in line
