@@ -136,21 +136,20 @@ def hand_with(
     Raises:
         ParameterError: The parameters are invalid.
     """
-    zero = list(hand.calibration.servo_zero)
-    friction = list(hand.calibration.friction)
-    gain = hand.cmc_gain
-    for column, name in enumerate(hand.digits):
-        if name in swept:
-            zero[column] = swept[name].servo_zero
-            friction[column] = swept[name].friction
-    if cmc is not None:
-        gain, zero[-1] = cmc
+    *zeros, zero = hand.calibration.servo_zero
+    parts = zip(hand.digits.items(), hand.calibration.friction, zeros, strict=True)
+    digits = {
+        name: swept.get(name, SweptDigit(digit, friction, servo_zero))
+        for (name, digit), friction, servo_zero in parts
+    }
+    gain, zero = (hand.cmc_gain, zero) if cmc is None else cmc
     return replace(
         hand,
-        digits={
-            name: swept[name].digit if name in swept else hand.digits[name] for name in hand.digits
-        },
+        digits={name: item.digit for name, item in digits.items()},
         cmc_gain=gain,
-        calibration=Calibration(tuple(zero), tuple(friction)),
+        calibration=Calibration(
+            (*(item.servo_zero for item in digits.values()), zero),
+            tuple(item.friction for item in digits.values()),
+        ),
         **changes,
     )

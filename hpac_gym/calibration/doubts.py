@@ -1,7 +1,5 @@
 """Remarks on what an identification does not explain, or explains by unusual numbers."""
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from hpac_gym.calibration.combinations import SweptDigit, values
@@ -62,7 +60,13 @@ def doubts(identified: Identification, base: Hand) -> list[str]:
                 f"{name}: all joints turn {np.mean(off):+.0%} for the same angle of the root joint, against the design: is the "
                 "scale of the root joint's angle off, or its radius?"
             )
-    steps = np.array(list(_zeros_in_steps(identified)))
+    zero = identified.hand.calibration.servo_zero
+    steps = np.array(
+        [
+            zero[column] / np.median(np.diff(np.unique(np.round(samples.servo, 6))))
+            for column, samples in identified.samples.items()
+        ]
+    )
     if len(steps) > 2 and abs(abs(steps.mean()) - 1) < ALIKE and steps.std() < ALIKE:
         remarks.append(
             f"the zeros of all {len(steps)} servos are about {steps.mean():+.1f} steps of the sweep: is the servo column one "
@@ -76,10 +80,3 @@ def doubts(identified: Identification, base: Hand) -> list[str]:
                 "between: are the servo's angles in radians?"
             )
     return remarks
-
-
-def _zeros_in_steps(identified: Identification) -> Iterator[float]:
-    """The servos' zeros in units of the sweep's steps."""
-    zero = identified.hand.calibration.servo_zero
-    for column, samples in identified.samples.items():
-        yield float(zero[column] / np.median(np.diff(np.unique(np.round(samples.servo, 6)))))

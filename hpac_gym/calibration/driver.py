@@ -92,9 +92,9 @@ class Driver:
             if not held:
                 self._link.arm(watchdog=WATCHDOG)
             go(self._link, pose)
-        points = list(enumerate(angles))
-        both = self._protocol.both_directions
-        for phase, course in ((FLEXING, points), (EXTENDING, points[::-1] if both else points[:1])):
+        there = list(enumerate(angles))
+        back = there[::-1] if self._protocol.both_directions else [(-1, angles[0])]
+        for phase, course in ((FLEXING, there), (EXTENDING, back)):
             for point, angle in course:
                 target = pose.copy()
                 target[swept] = angle
@@ -102,8 +102,7 @@ class Driver:
                 moving = max(self._protocol.seconds_per_point - self._protocol.hold, 2.0 * least)
                 self._link.move(ServoCommand(target, moving), minimum_jerk=True)
                 self._watch(moving + SETTLED, phase)
-                counts = both or phase == FLEXING
-                self._watch(self._protocol.hold - SETTLED, phase, point if counts else -1)
+                self._watch(self._protocol.hold - SETTLED, phase, point)
         with self._clock_stands():
             if held:
                 go(self._link, holds)

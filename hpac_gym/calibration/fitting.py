@@ -124,13 +124,6 @@ class Prior:
         upper[tendon] = min(upper[tendon], np.log(0.5))
         return cls(known, linear, centre, sigma, lower, upper)
 
-    def drive_known(self, spread: float) -> Prior:
-        """The same, with the drive's stiffness as the design's."""
-        sigma = self.sigma.copy()
-        drive = [item.name for item in self.known].index("drive_stretch")
-        sigma[drive] = spread * self.centre[drive]
-        return replace(self, sigma=sigma)
-
     def values(self, unknowns: Array) -> Array:
         """Values of the combinations for given unknowns."""
         return np.where(self.linear, unknowns, np.exp(np.where(self.linear, 0.0, unknowns)))
@@ -196,20 +189,15 @@ class _Problem:
             xtol=1e-6,
         )
 
-    def draws(self, solution: Array, scale: float, count: int) -> Array:
+    def draws(self, start: Array, scale: float, count: int) -> Array:
         """Draws of the combinations' values from the posterior, shape (count, combinations).
 
         Data and prior get new errors, and the fit is repeated: Bardsley et al. 2014,
         "Randomize-then-optimize". The directions that the data leave open are curved: along a
-        tangent, as a normal distribution about the fit has it, the angles do not stay. The drive is
-        as stiff as the design's, to `DRAWN_DRIVE_SPREAD`.
+        tangent, as a normal distribution about the fit has it, the angles do not stay.
         """
-        held = replace(self, prior=self.prior.drive_known(DRAWN_DRIVE_SPREAD))
-        return held.drawn(held.solve(solution, scale).x, scale, count)
-
-    def drawn(self, solution: Array, scale: float, count: int) -> Array:
-        """The draws about a solution."""
         rng = np.random.default_rng(0)
+        solution: Array = self.solve(start, scale).x
         fitted = self.rows(solution, scale)
         unit = self.unit
         low, high = self.bounds
@@ -281,7 +269,12 @@ def fit_digit(
     solution = result.x[:count]
     covariance = np.linalg.inv(result.jac.T @ result.jac)[:count, :count]
     swept = digit_with(base, prior.values(solution))
-    drawn = problem.draws(result.x, scale, draws) if draws else np.empty((0, count))
+    drawn = np.empty((0, count))
+    if draws:
+        drive = [item.name == "drive_stretch" for item in prior.known]
+        sigma = np.where(drive, DRAWN_DRIVE_SPREAD * prior.centre, prior.sigma)
+        stiff = replace(problem, prior=replace(prior, sigma=sigma))
+        drawn = stiff.draws(result.x, scale, draws)
     return DigitFit(swept, _estimates(prior, solution, covariance), samples, scale, drawn)
 
 
@@ -323,17 +316,10 @@ def fit_cmc(
         loss=lambda squares: soft_beyond_outliers(squares, len(servo)),
     )
     covariance = np.linalg.inv(result.jac.T @ result.jac)[:2, :2]
+    value = result.x[:2]
     spread = np.sqrt(np.diag(covariance))
-
-    def estimate(name: str, formula: str, prior: float, place: int) -> Estimate:
-        x = float(result.x[place])
-        half = 1.96 * float(spread[place])
-        told = 1 - min(float(spread[place]) / prior, 1.0)
-        return Estimate(name, formula, x, x - half, x + half, told)
-
-    estimates = (
-        estimate("cmc_gain", "g_CMC", np.inf, 0),
-        estimate("servo_zero", "rad", float(ZERO_SPREAD), 1),
-    )
+    told = 1 - np.minimum(spread / [np.inf, ZERO_SPREAD], 1.0)
+    gain, zero = np.transpose([value, value - 1.96 * spread, value + 1.96 * spread, told]).tolist()
+    estimates = Estimate("cmc_gain", "g_CMC", *gain), Estimate("servo_zero", "rad", *zero)
     rng = np.random.default_rng(0)
-    return estimates, rng.multivariate_normal(result.x[:2], covariance, draws)
+    return estimates, rng.multivariate_normal(value, covariance, draws)

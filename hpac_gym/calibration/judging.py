@@ -1,5 +1,7 @@
 """Plausibility checks of a record, which `hpac sweep` and `hpac calibrate` make first."""
 
+import warnings
+
 import numpy as np
 
 from hpac_gym.calibration.processing import (
@@ -141,18 +143,12 @@ def point_medians(sweep: Sweep, rows: np.ndarray) -> tuple[Array, Array, Array]:
         Servo angles (points, 6), medians (points, 15), deviations (samples, 15) [rad]; NaN where
         nothing was measured.
     """
-    _, place, counts = np.unique(sweep.point[rows], return_inverse=True, return_counts=True)
+    numbers, place = np.unique(sweep.point[rows], return_inverse=True)
     measured = sweep.joint_pos[rows]
-    order = np.argsort(place, kind="stable")
-    values = np.full((len(counts), counts.max(), len(JOINTS)), np.nan)
-    values[place[order], np.arange(len(rows)) - np.repeat(np.cumsum(counts) - counts, counts)] = (
-        measured[order]
-    )
-    values.sort(axis=1)  # NaN comes last
-    seen = (~np.isnan(values)).sum(axis=1)[:, None]
-    medians = (
-        np.take_along_axis(values, (seen - 1) // 2, 1) + np.take_along_axis(values, seen // 2, 1)
-    )[:, 0] / 2
+    with warnings.catch_warnings(action="ignore"):  # of points without a measurement
+        medians = np.stack(
+            [np.nanmedian(measured[place == i], axis=0) for i in range(len(numbers))]
+        )
     return group_means(sweep.servo[rows], place)[0], medians, measured - medians[place]
 
 

@@ -176,11 +176,10 @@ def _open_line(sweep: Sweep, time: Array, drift: float) -> Array:
     if drift:
         line[:, 0] = 1 / np.sqrt((rest < time.min()).sum())
         line[:, 1] = drift * (time - rest[0]) / np.ptp(rest)
-        return line
-    origin = rest.mean()
-    line[:, 0] = 1 / np.sqrt(rest.size)
-    if rest[-1] > time.max():
-        line[:, 1] = (time - origin) / np.sqrt(((rest - origin) ** 2).sum())
+    else:
+        line[:, 0] = 1 / np.sqrt(rest.size)
+        if rest[-1] > time.max():
+            line[:, 1] = (time - rest.mean()) / np.sqrt(((rest - rest.mean()) ** 2).sum())
     return line
 
 
