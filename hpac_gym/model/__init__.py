@@ -6,6 +6,8 @@ optional `hand`."""
 from hpac_gym.model.command import (
     ServoCommand,
     action_from_synergy,
+    clip_synergy,
+    clip_to_workspace,
     move_duration,
     servo_from_action,
     servo_from_joints,
@@ -39,7 +41,6 @@ from hpac_gym.model.transmission import (
     transmission_matrix,
 )
 from hpac_gym.model.variation import scaled_hand
-from hpac_gym.model.workspace import clip_synergy, clip_to_workspace
 
 __all__ = [
     "DIGITS",

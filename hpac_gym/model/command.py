@@ -1,4 +1,4 @@
-"""Eq. (15) and the pipeline around it: from an action or a posture to the servo command."""
+"""Eqs. (14), (15) and the pipeline around them: from an action or a posture to the servo command."""
 
 from dataclasses import dataclass
 
@@ -111,6 +111,41 @@ def synergy_from_joints(joint_pos: ArrayLike, hand: Hand = HPAC) -> Array:
     """
     joint_pos = as_finite_array(joint_pos, len(JOINTS), "joint_pos")
     return row_by_row(joint_pos, hand.synergy_projection)
+
+
+def clip_to_workspace(joint_pos: ArrayLike, hand: Hand = HPAC) -> Array:
+    """Joint angles, each clipped to its admissible range.
+
+    Eq. (14), with Table I. The box is larger than the set that six servos can reach;
+    `servo_from_joints` projects onto that set.
+
+    Args:
+        joint_pos: q_d, shape (..., 15) [rad].
+
+    Returns:
+        q̃_d, shape (..., 15) [rad].
+
+    Raises:
+        ShapeError: Wrong shape, NaN or infinity.
+    """
+    joint_pos = as_finite_array(joint_pos, len(JOINTS), "joint_pos")
+    return np.minimum(np.maximum(joint_pos, hand.joint_min), hand.joint_max)
+
+
+def clip_synergy(synergy: ArrayLike, hand: Hand = HPAC) -> Array:
+    """Synergy coordinates, each clipped to the range of its driven joint in Table I.
+
+    Args:
+        synergy: shape (..., 6) [rad].
+
+    Returns:
+        shape (..., 6) [rad].
+
+    Raises:
+        ShapeError: Wrong shape, NaN or infinity.
+    """
+    synergy = as_finite_array(synergy, len(SERVOS), "synergy")
+    return np.minimum(np.maximum(synergy, hand.synergy_min), hand.synergy_max)
 
 
 def servo_from_joints(joint_pos: ArrayLike, hand: Hand = HPAC) -> Array:

@@ -107,9 +107,7 @@ class Digit:
 
         Joint angles are inversely proportional to the radii: 5:4:5 radii give 4:5:4 angles, 5:4
         give 4:5."""
-        radius = np.array(self.joint_radius)
-        ratio: Array = radius[0] / radius
-        return ratio
+        return np.asarray(self.joint_radius[0] / np.array(self.joint_radius), dtype=float)
 
     @property
     def segment_stiffness(self) -> Array:
@@ -120,10 +118,10 @@ class Digit:
         cable pulls on every joint, so by torque balance the first segment carries twice the spring
         tension T. With EA/L it would stretch by 2TL/EA, whereas Eq. (11) gives TL/EA: Eq. (12) is a
         static equilibrium only with 2EA/L. The thumb has one segment, which carries only T."""
-        first = 2.0 if len(self.path_length) > 1 else 1.0
-        factor = np.where(np.arange(len(self.path_length)) == 0, first, 1.0)
-        path: Array = np.array(self.path_length)
-        return factor * self.tendon_stiffness / path
+        stiffness: Array = self.tendon_stiffness / np.array(self.path_length)
+        if len(stiffness) > 1:
+            stiffness[0] *= 2
+        return stiffness
 
     @property
     def compliance(self) -> Array:

@@ -15,13 +15,12 @@ from numpy.typing import ArrayLike
 
 from hpac_gym.errors import HpacError
 from hpac_gym.model.checks import Array, as_finite_vector
-from hpac_gym.model.command import servo_from_joints
+from hpac_gym.model.command import clip_to_workspace, servo_from_joints
 from hpac_gym.model.elasticity import elastic_joints_from_servo
 from hpac_gym.model.files import HPAC
 from hpac_gym.model.joints import FINGERS, JOINT_INDEX, JOINTS
 from hpac_gym.model.parameters import Hand
 from hpac_gym.model.settled import settled_joints_from_servo, settled_servo_from_joints
-from hpac_gym.model.workspace import clip_to_workspace
 
 _PARTS = {"thumb": ("ip", "mp", "cmc"), **dict.fromkeys(FINGERS, ("dip", "pip", "mcp"))}
 

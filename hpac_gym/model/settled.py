@@ -162,40 +162,11 @@ def _drive_stretch(root: Array, digit: Digit, statics: DigitStatics) -> Array:
     return np.minimum(tension, digit.tension_limit) / digit.drive_stiffness
 
 
-def settled_synergy_from_joints(
-    joint_pos: ArrayLike, hand: Hand = HPAC, direction: float = FLEXION
-) -> Array:
-    """Driven-joint angles whose equilibrium is nearest to a posture, by least squares per digit.
-
-    The projection of Eq. (15), onto the equilibrium postures of `settled_joints_from_servo`. Not
-    clipped: for an unreachable posture a coordinate can exceed Table I.
-
-    Args:
-        joint_pos: q_d, shape (..., 15) [rad].
-        hand: the identified hand.
-        direction: `FLEXION` or `EXTENSION`, in which the hand approaches the posture.
-
-    Returns:
-        Shape (..., 6) [rad].
-
-    Raises:
-        ShapeError: Wrong shape, NaN or infinity.
-    """
-    joint_pos = as_finite_array(joint_pos, len(JOINTS), "joint_pos")
-    synergy = np.empty((*joint_pos.shape[:-1], len(SERVOS)))
-    for column, digit in enumerate(hand.digits.values()):
-        statics = digit_statics(digit, hand.calibration.friction[column], direction)
-        wanted = joint_pos[..., [JOINT_INDEX[name] for name in digit.joints]] - statics.offset
-        synergy[..., column] = wanted @ statics.slope / (statics.slope @ statics.slope)
-    synergy[..., _CMC] = joint_pos[..., JOINT_INDEX["thumb_cmc"]]
-    return synergy
-
-
 def settled_servo_from_joints(
     joint_pos: ArrayLike, hand: Hand = HPAC, direction: float = FLEXION
 ) -> Array:
-    """Servo angles whose equilibrium is nearest to a posture: Eq. (15) with the identified
-    parameters of this hand.
+    """Servo angles whose equilibrium is nearest to a posture, by least squares per digit: Eq. (15)
+    with the identified parameters of this hand.
 
     `servo_from_joints` takes the driving tendon as rigid, the servos' zeros as exact and the joints
     as free of friction. This one adds the tendon's stretch, subtracts the zeros and allows for the
@@ -216,9 +187,13 @@ def settled_servo_from_joints(
     joint_pos = as_bounded_array(
         joint_pos, hand.joint_min, hand.joint_max, JOINTS, "joint_pos", "rad"
     )
-    synergy = np.clip(
-        settled_synergy_from_joints(joint_pos, hand, direction), hand.synergy_min, hand.synergy_max
-    )
+    synergy = np.empty((*joint_pos.shape[:-1], len(SERVOS)))
+    for column, digit in enumerate(hand.digits.values()):
+        statics = digit_statics(digit, hand.calibration.friction[column], direction)
+        wanted = joint_pos[..., [JOINT_INDEX[name] for name in digit.joints]] - statics.offset
+        synergy[..., column] = wanted @ statics.slope / (statics.slope @ statics.slope)
+    synergy[..., _CMC] = joint_pos[..., JOINT_INDEX["thumb_cmc"]]
+    synergy = np.clip(synergy, hand.synergy_min, hand.synergy_max)
     servo = settled_servo_from_synergy(synergy, hand, direction)
     return np.clip(servo, hand.servo_min, hand.servo_max)
 
