@@ -9,6 +9,7 @@ import importlib.util
 import numpy as np
 import pytest
 
+from hpac_gym.body.hands import hand_set
 from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.body.urdf import WRIST_EFFORT
 from hpac_gym.errors import ParameterError
@@ -32,8 +33,16 @@ engines = pytest.mark.parametrize("name", ENGINES)
 
 
 def setup(grasp: str | None, seed: int) -> SceneSetup:
-    task = Grasp(grasp=grasp)
-    return task.setup(np.random.default_rng(seed))
+    return Grasp(grasp=grasp).setup(np.random.default_rng(seed))
+
+
+def with_a_hand(start: SceneSetup, seed: int) -> SceneSetup:
+    """The setup with one of the hands of the family."""
+    variant = hand_set("train")[seed % 4]
+    settings = variant.over(start.hand_settings)
+    return dataclasses.replace(
+        start, hand=variant.hand, geometry=variant.geometry, hand_settings=settings
+    )
 
 
 class Closing:
@@ -85,8 +94,8 @@ def digest_alone(engine: str, start: SceneSetup, seed: int, steps: int) -> str:
 @engines
 @pytest.mark.parametrize("grasp", NAMES)
 def test_an_episode_is_the_same_to_the_bit_after_others_and_beside_others(name, grasp):
-    """Three worlds whose episodes begin and end at different times, with visual shapes, against new
-    engines of one world.
+    """Three worlds whose episodes begin and end at different times, most with other hands, with
+    visual shapes, against new engines of one world.
     """
     simulation = Simulation(make_engine(name, 3, visuals=True))
     rng = np.random.default_rng(0)
@@ -98,7 +107,8 @@ def test_an_episode_is_the_same_to_the_bit_after_others_and_beside_others(name, 
         for world in worlds:
             seed = int(rng.integers(1000))
             other = NAMES[rng.integers(len(NAMES))] if world == 2 else grasp
-            episodes[world] = Closing(setup(other, seed), seed)
+            start = setup(other, seed)
+            episodes[world] = Closing(with_a_hand(start, seed) if seed % 3 else start, seed)
             lengths[world] = int(rng.integers(5, 40))
         simulation.reset(worlds, [episodes[world].start for world in worlds])
 

@@ -106,18 +106,6 @@ def test_no_step_moves_nothing():
     np.testing.assert_array_equal(servos.horn, 0.0)
 
 
-def test_servos_arrive_together_and_on_time():
-    servos = Servos(1, DT)
-    target = np.array([[0.2, 0.4, 0.6, 0.8, 1.0, 0.5]])
-    settings = ServoSettings()
-    servos.reset([0], np.zeros((1, 6)), [settings])
-    servos.command(target, 0.5)
-    np.testing.assert_allclose(
-        servos.advance(30)[0][:, -1], target / 2, atol=settings.dead_band + 0.01
-    )
-    np.testing.assert_allclose(servos.advance(30)[0][:, -1], target, atol=settings.dead_band)
-
-
 @pytest.mark.parametrize(
     ("settings", "name", "value", "message"),
     [
