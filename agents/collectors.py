@@ -70,15 +70,10 @@ def connected() -> Any:
 
 
 def knowledge(learner: Learner) -> dict[str, Any]:
-    """State that a collector needs for decisions: networks, scaling and number of updates, as plain
-    arrays.
-    """
-    known = learner.networks
-    arrays = {
-        name: {key: value.numpy() for key, value in network.state_dict().items()}
-        for name, network in (("actor", known.actor), ("critics", known.critics))
-    }
-    return arrays | {"mean": known.mean, "scale": known.scale, "updates": learner.updates}
+    """State that a collector needs for decisions: networks, scaling and number of updates."""
+    arrays = learner.networks.arrays().items()
+    needed = {name: array for name, array in arrays if not name.startswith("of ")}  # of optimisers
+    return needed | {"updates": learner.updates}
 
 
 class Collector:
@@ -114,15 +109,8 @@ class Collector:
         processor time [s].
         """
         learner = self._learner
-        networks = learner.networks
         begun = time.process_time()
-        for network, arrays in (
-            (networks.actor, known["actor"]),
-            (networks.critics, known["critics"]),
-        ):
-            network.load_state_dict({key: torch.tensor(array) for key, array in arrays.items()})
-        networks.mean = known["mean"]
-        networks.scale = known["scale"]
+        learner.networks.restore(known)
         learner.updates = known["updates"]
         parts: list[tuple[np.ndarray, ...]] = []
         while sum(len(part[0]) for part in parts) < self._num_envs:

@@ -17,7 +17,8 @@ from agents.progress import COLUMNS, CURVE
 from hpac_gym.command import command_parser, run
 from hpac_gym.evaluation.evaluate import table
 from hpac_gym.evaluation.statistics import wilson_interval
-from hpac_gym.output import replacing, write_text
+from hpac_gym.figures import new_figure, save
+from hpac_gym.output import write_text
 
 RESULTS = "results.json"
 PAGE = "results.md"
@@ -34,15 +35,7 @@ def read_curve(path: Path) -> dict[str, np.ndarray]:
     try:
         with path.open(newline="") as file:
             rows = list(csv.DictReader(file))
-        curve = {name: np.array([float(row[name]) for row in rows]) for name in COLUMNS}
-        rate = curve["success_rate"]
-        window = curve["window"]
-        if not (
-            np.isfinite(curve["seconds"]).all()
-            and ((rate >= 0) & (rate <= 1) & (window >= 1)).all()
-        ):
-            raise ValueError("a row has no time, no trial, or a rate of success outside 0…1")
-        return curve
+        return {name: np.array([float(row[name]) for row in rows]) for name in COLUMNS}
     except OSError as error:
         raise RunError(f"cannot read '{path}': {error.strerror or error}") from None
     except (KeyError, TypeError, ValueError, csv.Error) as error:
@@ -54,12 +47,9 @@ def draw(path: Path, curve: dict[str, np.ndarray], results: dict[str, Any] | Non
     Wilson 95 % intervals.
     """
     # Imported here, since a command that only parses its arguments does not need it.
-    from matplotlib.figure import (
-        Figure,
-    )
     from matplotlib.ticker import MaxNLocator
 
-    figure = Figure(figsize=(8, 4.5), layout="constrained")
+    figure = new_figure(8, 4.5)
     axes = figure.add_subplot()
     axes.plot(
         curve["episodes"] / 1000,
@@ -102,18 +92,16 @@ def draw(path: Path, curve: dict[str, np.ndarray], results: dict[str, Any] | Non
         axis.set_xlabel("training time (minutes)")
     axes.grid(alpha=0.3)
     axes.legend(loc="upper left", fontsize="small")
-    with replacing(path) as temporary:
-        figure.savefig(temporary, dpi=120, format="png")
+    save(figure, path, picture=True)
 
 
 def draw_trials(path: Path, cells: Sequence[dict[str, Any]]) -> None:
     """Draw success, with its Wilson 95 % interval, over trials: of single runs, and of those with
     the trials of several.
     """
-    from matplotlib.figure import Figure  # imported here, since a table does not need it
-    from matplotlib.ticker import LogLocator
+    from matplotlib.ticker import LogLocator  # imported here, since a table does not need it
 
-    figure = Figure(figsize=(8, 4.5), layout="constrained")
+    figure = new_figure(8, 4.5)
     axes = figure.add_subplot()
     for label, style, colour in (
         ("of one run", "o", "random"),
@@ -136,8 +124,7 @@ def draw_trials(path: Path, cells: Sequence[dict[str, Any]]) -> None:
     axes.xaxis.set_minor_formatter("")
     axes.grid(alpha=0.3)
     axes.legend(loc="lower right")
-    with replacing(path) as temporary:
-        figure.savefig(temporary, dpi=120, format="png")
+    save(figure, path, picture=True)
 
 
 def report(folder: Path) -> list[Path]:

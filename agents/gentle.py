@@ -31,7 +31,6 @@ from hpac_gym.model.checks import Array
 from hpac_gym.output import writable_folder
 from hpac_gym.physics.settings import BODIES
 from hpac_gym.policies import PolicyFile, write_policy
-from hpac_gym.policies.increments import Recent
 from hpac_gym.registration import GENTLE
 
 WORLDS = 128
@@ -40,16 +39,6 @@ UPDATES = 250
 """Of a round of imitation; the last has three times as many."""
 WARMING = 10
 """First rollouts, in which the critic alone learns."""
-
-
-def replaced(recent: Recent, worlds: Array, other: Recent) -> Recent:
-    """The same, with some worlds of another one; `worlds` are booleans, shape (n,)."""
-    chosen = {}
-    for entry in fields(Recent):
-        mine = getattr(recent, entry.name)
-        mask = worlds.reshape(-1, *[1] * (mine.ndim - 1))
-        chosen[entry.name] = np.where(mask, getattr(other, entry.name), mine)
-    return Recent(**chosen)
 
 
 class Hands(VecEnvWrapper):
@@ -92,7 +81,10 @@ class Hands(VecEnvWrapper):
         seen, reward, done, infos = self.venv.step_wait()
         self.ended += int(done.sum())
         self.steps += len(done)
-        self.recent = replaced(MOVES.see(self.recent, seen), done, MOVES.begin(seen))
+        self.recent = MOVES.see(self.recent, seen)
+        begun = MOVES.begin(seen[done])
+        for entry in fields(begun):
+            getattr(self.recent, entry.name)[done] = getattr(begun, entry.name)
         observed = self._observed()
         for world in np.flatnonzero(done):  # no episode is truncated, so that nobody reads it
             infos[world]["terminal_observation"] = observed[world]
@@ -245,48 +237,6 @@ class Warm(BaseCallback):
             print(f"{self.num_timesteps:,} steps: {share:.3f} held in training", flush=True)
 
 
-def train(
-    out: Path,
-    obs: str = "load",
-    seed: int = 0,
-    rounds: int = 8,
-    steps: int = 0,
-    told: bool = True,
-    body: str = "light",
-) -> None:
-    """Learn, and write the policy file into a folder.
-
-    Raises:
-        RunError: It is there already.
-    """
-    torch.set_num_threads(1)
-    torch.manual_seed(seed)
-    if (out / POLICY).exists():
-        raise RunError(f"'{out / POLICY}' is there already: choose another folder, or remove it")
-    writable_folder(out)
-    env = Hands(WORLDS, obs, told, body)
-    model = learner(env, seed)
-    imitate(model, env, rounds, seed)
-    if steps:
-        env.seed(training_seed(seed, 1, WORLDS))
-        model.learn(steps, callback=Warm())
-    target = target_of(GENTLE, obs=obs, told=told)
-    settings = {"seed": seed, "rounds": rounds, "steps": steps, "body": body, "told": told}
-    about = {
-        **target,
-        "algorithm": "DAgger, then PPO" if steps else "DAgger",
-        "settings": settings | {"hidden": [HIDDEN, HIDDEN]},
-        "obs": obs,
-        "increments": asdict(MOVES),
-        "episodes": env.ended,
-        "control_steps": env.steps,
-        "versions": versions("stable-baselines3"),
-    }
-    parts = [*model.policy.mlp_extractor.actor, model.policy.action_net]
-    write_policy(out / POLICY, PolicyFile(actor_of(parts, env.mean, env.scale), about))
-    env.close()
-
-
 def main(argv: list[str] | None = None) -> int:
     parser = command_parser("agents.gentle", __doc__)
     parser.add_argument("--out", type=Path, required=True, help="folder of the policy")
@@ -297,8 +247,34 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--untold", action="store_true", help="the crush limit is not told")
     parser.add_argument("--body", choices=tuple(BODIES), default="light", help="the hand's inertia")
     args = parser.parse_args(argv)
-    train(args.out, args.obs, args.seed, args.rounds, args.steps, not args.untold, args.body)
-    print(args.out / POLICY)
+    path = args.out / POLICY
+    told = not args.untold
+    if path.exists():
+        raise RunError(f"'{path}' is there already: choose another folder, or remove it")
+    writable_folder(args.out)
+    torch.set_num_threads(1)
+    torch.manual_seed(args.seed)
+    env = Hands(WORLDS, args.obs, told, args.body)
+    model = learner(env, args.seed)
+    imitate(model, env, args.rounds, args.seed)
+    if args.steps:
+        env.seed(training_seed(args.seed, 1, WORLDS))
+        model.learn(args.steps, callback=Warm())
+    settings = {name: getattr(args, name) for name in ("seed", "rounds", "steps", "body")}
+    about = {
+        **target_of(GENTLE, obs=args.obs, told=told),
+        "algorithm": "DAgger, then PPO" if args.steps else "DAgger",
+        "settings": settings | {"told": told, "hidden": [HIDDEN, HIDDEN]},
+        "obs": args.obs,
+        "increments": asdict(MOVES),
+        "episodes": env.ended,
+        "control_steps": env.steps,
+        "versions": versions("stable-baselines3"),
+    }
+    parts = [*model.policy.mlp_extractor.actor, model.policy.action_net]
+    write_policy(path, PolicyFile(actor_of(parts, env.mean, env.scale), about))
+    env.close()
+    print(path)
     return 0
 
 

@@ -154,14 +154,14 @@ class Networks:
         return scales | {name: tensor.numpy() for name, tensor in tensors.items()}
 
     def restore(self, arrays: dict[str, np.ndarray]) -> None:
-        """Restore what `arrays` returned."""
+        """Restore what `arrays` returned, or its part without the optimisers."""
         for name in SCALES:
             setattr(self, name, arrays[name])
-        self.log_alpha.data.copy_(torch.from_numpy(arrays["log_alpha"]))
+        self.log_alpha.data.copy_(torch.tensor(arrays["log_alpha"]))
 
         def tensors(place: str) -> dict[str, Tensor]:
             return {
-                name.removeprefix(place): torch.from_numpy(arrays[name])
+                name.removeprefix(place): torch.tensor(arrays[name])
                 for name in arrays
                 if name.startswith(place)
             }

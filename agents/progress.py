@@ -7,7 +7,6 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
 
 from tqdm import tqdm
 
@@ -28,8 +27,9 @@ class Progress:
     Args:
         episodes, most_steps: limits of the trials and of the control steps over all worlds.
         done, env_steps, seconds_before: trials, control steps and time [s] of the run before it was
-        resumed. time_limit: latest end of the training, relative to `started` [s]. started: start
-        of the training on the clock [s]; None means now. clock: function that returns the time [s].
+        resumed.
+        time_limit: longest time of the training from now on [s].
+        clock: function that returns the time [s].
 
     Attributes:
         done, env_steps: trials and control steps so far, over all worlds.
@@ -45,21 +45,23 @@ class Progress:
         env_steps: int = 0,
         seconds_before: float = 0.0,
         time_limit: float = float("inf"),
-        started: float | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
+        # Imported here, since it takes seconds.
+        from torch.utils.tensorboard import SummaryWriter
+
         self.done = done
         self.env_steps = env_steps
         self.stopped_by = None
         self._curve = folder / CURVE
-        self._board = board_of(folder, done)
+        self._board = SummaryWriter(folder / BOARD, purge_step=done + 1)
         self._first = done
         self._most = episodes
         self._most_steps = most_steps
         self._seconds_before = seconds_before
         self._time_limit = time_limit
         self._clock = clock
-        self._started = clock() if started is None else started
+        self._started = clock()
         self._held: deque[bool] = deque(maxlen=WINDOW)
         self._written = done
         self._next_line = LINE_EVERY_S / 3
@@ -87,10 +89,13 @@ class Progress:
         """Share of the last trials that held; NaN before the first one has ended."""
         return sum(self._held) / len(self._held) if self._held else float("nan")
 
-    def add(self, held: list[bool], steps: int, metrics: Callable[[], Mapping[str, float]]) -> bool:
-        """Record trials and control steps, and from time to time the metrics of the learner;
-        returns whether the training continues.
-        """
+    @property
+    def going(self) -> bool:
+        """Whether the training continues."""
+        return self.stopped_by is None and self.done < self._most
+
+    def add(self, held: list[bool], steps: int, metrics: Callable[[], Mapping[str, float]]) -> None:
+        """Record trials and control steps, and from time to time the metrics of the learner."""
         held = held[: self._most - self.done]  # the run keeps no more
         self._held.extend(held)
         self.done += len(held)
@@ -100,13 +105,11 @@ class Progress:
         if self._clock() - self._started > self._time_limit:
             self.stopped_by = "time limit"
         self._show()
-        return self.stopped_by is None and self.done < self._most
 
     def close(self) -> None:
         """Close the progress bar and the file for TensorBoard."""
         self._bar.close()
-        if self._board is not None:
-            self._board.close()
+        self._board.close()
 
     def write_row(self, metrics: Mapping[str, float]) -> None:
         """Write a row of the learning curve, and all metrics for TensorBoard, unless there was no
@@ -130,11 +133,9 @@ class Progress:
                 csv.writer(file).writerows([row] if file.tell() else [COLUMNS, row])
         except OSError as error:
             raise RunError(f"cannot write '{self._curve}': {error.strerror or error}") from error
-        if self._board is not None:
-            shown = {"success_rate": self.success_rate, **metrics}
-            for name, value in shown.items():
-                self._board.add_scalar(f"train/{name}", value, self.done)
-            self._board.flush()
+        for name, value in {"success_rate": self.success_rate, **metrics}.items():
+            self._board.add_scalar(f"train/{name}", value, self.done)
+        self._board.flush()
 
     def _show(self) -> None:
         elapsed = self._clock() - self._started
@@ -156,17 +157,6 @@ class Progress:
         else:
             self._bar.set_postfix_str(text, refresh=False)
             self._bar.update(100 * self.share - self._bar.n)
-
-
-def board_of(folder: Path, done: int) -> Any:
-    """What writes for TensorBoard into a folder, from a number of trials on; None if it is not
-    installed.
-    """
-    try:
-        from torch.utils.tensorboard import SummaryWriter
-    except ImportError:
-        return None
-    return SummaryWriter(folder / BOARD, purge_step=done + 1)
 
 
 def drop_rows_after(path: Path, episodes: int) -> None:

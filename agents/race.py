@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping
 from inspect import signature
 from itertools import zip_longest
 from pathlib import Path
+from pkgutil import resolve_name
 from types import MappingProxyType
 from typing import Any
 
@@ -23,10 +24,10 @@ from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecNormalize
 from torch import nn
 
 from agents import POLICY, RecipeError, RunError, target_of
-from agents.contenders import BOUNDS, CONTENDERS, algorithm_of
 from agents.progress import CURVE, Progress
 from hpac_gym.command import command_parser, minutes, run
 from hpac_gym.envs.sb3 import HandVecEnv
+from hpac_gym.errors import install
 from hpac_gym.evaluation.environment import versions, with_object
 from hpac_gym.evaluation.options import add_env_options, env_options, with_set
 from hpac_gym.evaluation.seeds import training_seed
@@ -34,6 +35,54 @@ from hpac_gym.output import writable_folder
 from hpac_gym.policies import Actor, PolicyFile, write_policy
 from hpac_gym.registration import GRASP, full_id
 
+ALGORITHMS: Mapping[str, str] = {
+    "ppo": "stable_baselines3:PPO",
+    "sac": "stable_baselines3:SAC",
+    "tqc": "sb3_contrib:TQC",
+    "crossq": "sb3_contrib:CrossQ",
+    "sbx-sac": "sbx:SAC",
+    "sbx-tqc": "sbx:TQC",
+    "sbx-crossq": "sbx:CrossQ",
+}
+_SHARED = {
+    "seed": 0,
+    "num_envs": 32,
+    "action_repeat": 4,
+    "learning_rate": 5e-4,
+    "gamma": 0.95,
+    "policy_kwargs": {"net_arch": [128, 128]},
+}
+BOUNDS: Mapping[str, tuple[Any, float, float]] = {
+    "seed": (int, 0, 2**31 - 1),
+    "num_envs": (int, 1, 65_536),
+    "action_repeat": (int, 1, 1_000),
+    "learning_rate": (int | float, 0, 1),
+    "gamma": (int | float, 0, 1),
+}
+"""Type, least and largest value of the arguments that the worlds need too."""
+_REPLAY = _SHARED | {
+    "n_steps": 4,
+    "learning_starts": 4_000,
+    "gradient_steps": 8,
+    "target_entropy": -6.0,
+}
+_PPO = _SHARED | {
+    "num_envs": 128,
+    "batch_size": 512,
+    "n_steps": 16,
+    "gae_lambda": 0.9,
+    "policy_kwargs": {"net_arch": [128, 128], "log_std_init": -0.5},
+}
+CONTENDERS: Mapping[str, Mapping[str, Any]] = {
+    name: _PPO
+    if name == "ppo"
+    else _REPLAY | ({"learning_rate": 1e-3} if "crossq" in name else {"tau": 0.01})
+    for name in ALGORITHMS
+}
+"""Arguments of each algorithm that are not its library's own, and two of its worlds: their number,
+and the control steps for which an action is held, which are one decision. The learning rate is the
+initial one; it falls linearly to a twentieth, except in sbx-crossq.
+"""
 SAVE_EVERY_S = 60.0
 # bound of PPO's actions, since its normal distribution is unbounded; the environment gets their
 # tanh
@@ -76,6 +125,20 @@ class Decisions(VecEnvWrapper):
             infos = [a if o else b for a, b, o in zip(infos, told, over, strict=True)]
             over = over | done
         return seen, rewards, over, infos
+
+
+def algorithm_of(name: str) -> type[BaseAlgorithm]:
+    """Import an algorithm of `ALGORITHMS`.
+
+    Raises:
+        RecipeError: Its library is not installed.
+    """
+    try:
+        return resolve_name(ALGORITHMS[name])
+    except ModuleNotFoundError as error:
+        raise RecipeError(
+            f"{name} needs {error.name}, which is not installed: {install('train,sbx')}"
+        ) from None
 
 
 def learner_of(
@@ -233,7 +296,8 @@ def race(
             for told, done in zip(now["infos"], now["dones"], strict=True)
             if done
         ]
-        return progress.add(held, 0, metrics)  # no budget of control steps
+        progress.add(held, 0, metrics)  # no budget of control steps
+        return progress.going
 
     def metrics() -> dict[str, float]:
         """What the algorithm has logged lately."""

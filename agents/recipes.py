@@ -21,14 +21,17 @@ _KINDS = {
 }
 
 
-def setting(default: Any, meaning: str, low: float = 0.0, high: float = inf) -> Any:
-    """Field with a number or a tuple of numbers in `low`…`high`."""
-    return field(default=default, metadata={"meaning": meaning, "low": low, "high": high})
+def setting(
+    default: Any, meaning: str, low: float = 0.0, high: float = inf, only: str | None = None
+) -> Any:
+    """Field with a number or a tuple of numbers in `low`…`high`, which `only` one environment has."""
+    metadata = {"meaning": meaning, "low": low, "high": high, "only": only}
+    return field(default=default, metadata=metadata)
 
 
-def choice(default: Any, meaning: str, choices: tuple[str, ...]) -> Any:
-    """Field with one of `choices`, or a tuple of them."""
-    return field(default=default, metadata={"meaning": meaning, "choices": choices})
+def choice(default: Any, meaning: str, choices: tuple[str, ...], only: str | None = None) -> Any:
+    """Field with one of `choices`, or a tuple of them, which `only` one environment has."""
+    return field(default=default, metadata={"meaning": meaning, "choices": choices, "only": only})
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +67,7 @@ class Recipe:
         "imitates; 0: uniformly random closures, and critics instead of imitation",
         0,
         1,
+        only=GRASP_TYPE,
     )
     updates_per_episode: float = setting(0.15, "updates per trial", 1e-4, 100)
     batch_size: int = setting(256, "batch size of each critic's update, in trials", 1, 65_536)
@@ -103,8 +107,11 @@ class Recipe:
         "than its objects; empty: their own",
         0.5,
         2,
+        only=GRASP_ANY,
     )
-    hands: str = choice("nominal", f"hands of {GRASP_ANY} in training", ("nominal", "train"))
+    hands: str = choice(
+        "nominal", f"hands of {GRASP_ANY} in training", ("nominal", "train"), only=GRASP_ANY
+    )
     checkpoint_every: int = setting(5_000, "trials between two checkpoints", 1)
     trials_of: tuple[str, ...] = ()
     """Folders of finished runs whose trials the run learns from, instead of new ones."""
@@ -122,10 +129,10 @@ class Recipe:
                     raise RecipeError(
                         f"{entry.name} is {part}: it must lie in {told['low']:g}…{told['high']:g}"
                     )
-        if self.script_std and self.env_id != GRASP_TYPE:
-            raise RecipeError(
-                f"script_std is {self.script_std:g}: only {GRASP_TYPE} has a script for it, not {self.env_id}"
-            )
+            if told.get("only") not in (None, self.env_id) and value != entry.default:
+                raise RecipeError(
+                    f"{entry.name} is {value}: only {told['only']} has this setting, not {self.env_id}"
+                )
         if not self.hidden or not self.set_ups:
             raise RecipeError("hidden and set_ups need at least one entry each")
         if self.num_envs < len(self.set_ups):
@@ -141,14 +148,6 @@ class Recipe:
         if self.begin and self.begin[1] > self.release[0]:
             raise RecipeError(
                 f"begin is up to {self.begin[1]:g} steps, release from {self.release[0]:g} on: it must come later"
-            )
-        if self.sizes and self.env_id != GRASP_ANY:
-            raise RecipeError(
-                f"sizes are {self.sizes}: only {GRASP_ANY} has objects of other sizes, not {self.env_id}"
-            )
-        if self.hands != "nominal" and self.env_id != GRASP_ANY:
-            raise RecipeError(
-                f"hands is '{self.hands}': only {GRASP_ANY} has other hands, not {self.env_id}"
             )
 
     @property
@@ -282,12 +281,6 @@ def settings_of(saved: Mapping[str, Any]) -> Recipe:
         raise TypeError(
             f"it is of another version, whose settings differ in {', '.join(sorted(differing))}"
         )
-    types = get_type_hints(Recipe)
-    if wrong := next(
-        (name for name, value in saved.items() if types[name] is int and type(value) is not int),
-        None,
-    ):
-        raise TypeError(f"{wrong} is {saved[wrong]!r}, not a whole number")
     return Recipe(
         **{
             name: tuple(value) if isinstance(value, list) else value

@@ -7,18 +7,14 @@ settings) and the last checkpoint, from which
 episodes begin, with random numbers of its own, so that a killed and resumed run ends with the same
 policy as an uninterrupted one."""
 
-from __future__ import annotations
-
 import json
 import signal
 import sys
-import time
 from argparse import Namespace
-from collections.abc import Sequence
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from agents import POLICY, RecipeError, RunError, target_of
 from agents.curves import report
@@ -40,7 +36,7 @@ from agents.runs import (
     save_checkpoint,
     saved_trials,
 )
-from agents.trials import Source, training_task
+from agents.trials import training_task
 from hpac_gym.command import INTERRUPTED, command_parser, minutes, run, whole_number
 from hpac_gym.errors import HpacError
 from hpac_gym.evaluation.environment import versions
@@ -49,9 +45,6 @@ from hpac_gym.evaluation.seeds import training_seed
 from hpac_gym.output import writable_folder, write_text
 from hpac_gym.policies import PolicyFile, write_policy
 
-if TYPE_CHECKING:
-    from agents.learner import Learner
-
 
 def train(
     recipe: Recipe,
@@ -59,16 +52,14 @@ def train(
     *,
     fresh: bool = False,
     time_limit: float = float("inf"),
-    started: float | None = None,
     nodes: int = 0,
 ) -> int:
     """Train a recipe in the folder ``out``, from its checkpoint if it has one, and return the exit
     status.
 
     ``fresh`` replaces a run in the folder, which is kept until everything that the new one needs
-    was found. ``time_limit`` [s] ends the training cleanly, counted from ``started`` on the
-    monotonic clock. If ``nodes`` is positive, that many collectors of `agents.collectors` try the
-    closures.
+    was found. ``time_limit`` [s] ends the training cleanly. If ``nodes`` is positive, that many
+    collectors of `agents.collectors` try the closures.
 
     Raises:
         RunError: The training diverged, or its folder cannot be read or written.
@@ -81,8 +72,6 @@ def train(
 
     torch.set_num_threads(1)
     done = 0 if fresh else saved_trials(out)
-    sources: list[Source]
-    tried = {}
     if nodes:
         from agents.collectors import Collectors
 
@@ -90,23 +79,21 @@ def train(
     elif recipe.trials_of:
         from agents.recorded import Recorded
 
-        recorded = Recorded(recipe, done)
-        sources = [recorded]
-        tried = recorded.tried
+        sources = [Recorded(recipe, done)]
     else:
-        sources = [*worlds_of(recipe)]
+        sources = worlds_of(recipe)
     first = sources[0]
     learner = Learner(recipe, first.observed, first.deployed, first.phases)
     state = {"seconds": 0.0, "env_steps": 0}
     if fresh:
         remove_run(out)
     elif checkpoint := latest_checkpoint(out):
-        state |= load_checkpoint(checkpoint, learner, tried)
+        state |= load_checkpoint(checkpoint, learner, first.tried)
     write_text(out / RUN, json.dumps(asdict(recipe), indent=2) + "\n")
     drop_rows_after(out / CURVE, done)
     target = target_of(recipe.env_id, **recipe.options, engine=recipe.set_ups[0].partition("/")[0])
     spent = done, state["env_steps"], state["seconds"]
-    progress = Progress(out, recipe.episodes, recipe.env_steps, *spent, time_limit, started)
+    progress = Progress(out, recipe.episodes, recipe.env_steps, *spent, time_limit)
     before = _stop_on_signal(progress)
 
     def begin_episodes() -> None:
@@ -139,12 +126,13 @@ def train(
                 print(f"no picture: {error}", file=sys.stderr)
 
     begin_episodes()
-    room = state["env_steps"] + recipe.num_envs <= recipe.env_steps
-    going = done < recipe.episodes and room
     saved = done
-    while going:
-        going = learn_once(sources, learner, progress)
-        going = going and progress.env_steps + recipe.num_envs <= recipe.env_steps
+    while progress.going and progress.env_steps + recipe.num_envs <= recipe.env_steps:
+        for source in sources:
+            trials = source.step(learner, partial(learner.learn, progress.share))
+            learner.add(*trials)
+            held = (trials[2] == source.phases).tolist()
+            progress.add(held, source.steps, learner.metrics)
         if learner.trials.count >= saved + recipe.checkpoint_every:
             saved = learner.trials.count
             save()
@@ -167,25 +155,11 @@ def train(
     return INTERRUPTED if progress.stopped_by == "interrupted" else 0
 
 
-def learn_once(sources: Sequence[Source], learner: Learner, progress: Progress) -> bool:
-    """One step of every source, with the updates that are due meanwhile; returns whether the
-    training continues. Repeated, this is the whole training.
-    """
-    going = True
-    for source in sources:
-        trials = source.step(learner, partial(learner.learn, progress.share))
-        learner.add(*trials)
-        held = (trials[2] == source.phases).tolist()
-        going = progress.add(held, source.steps, learner.metrics)
-    return going
-
-
 def main(argv: list[str] | None = None) -> int:
-    started = time.monotonic()
     args = parsed(argv)
     recipe = _resumed_recipe(args) if args.resume else _fresh_recipe(args)
-    limits = {"time_limit": 60 * args.time_limit, "started": started}
-    return train(recipe, args.out, fresh=not args.resume, nodes=args.nodes, **limits)
+    limit = 60 * args.time_limit
+    return train(recipe, args.out, fresh=not args.resume, time_limit=limit, nodes=args.nodes)
 
 
 def parsed(argv: list[str] | None = None) -> Namespace:

@@ -1,8 +1,9 @@
 """Trials of closures: the table of them, what gives them, and the worlds in which they are run."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from types import MappingProxyType
 from typing import Any, Protocol
 
 import numpy as np
@@ -75,12 +76,14 @@ class Source(Protocol):
         deployed: number of its first entries, the *deploy* observation.
         phases: number of phases of the task.
         steps: control steps that the last `step` took, over all worlds.
+        tried: columns of trials that the checkpoints of a run leave out, by name.
     """
 
     observed: int
     deployed: int
     phases: int
     steps: int
+    tried: Mapping[str, np.ndarray] = MappingProxyType({})
 
     def start(self, seed: int) -> None:
         """Begin new episodes, if they are begun here."""

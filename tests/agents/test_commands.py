@@ -73,14 +73,9 @@ MISTAKES = [
         "policy': it is a folder",
     ),
     ("evaluate", "--policy {folder}/file --out {folder}/file", "file', a policy to evaluate"),
-    ("race", "sac --set tau2=1 --out {folder}/race", "unknown options tau2: there are grasp,"),
+    ("race", "sac --set tau2=1 --out {folder}/race", "unknown options tau2: there are"),
     ("race", "sac --out {folder}/bent", "already holds a run"),
     ("curves", "{folder}", "nothing to show"),
-    (
-        "curves",
-        "{folder}/rated",
-        "is not a learning curve: ValueError('a row has no time, no trial, or a rate",
-    ),
     ("curves", "{folder}/bent", "is not a learning curve"),
     ("demo", "--minutes 0", "'0' is not a positive number of minutes"),
 ]
@@ -94,10 +89,6 @@ def folder(tmp_path_factory) -> Path:
     (folder / "taken" / "run.json").write_text("{}")
     (folder / "bent").mkdir()
     (folder / "bent" / "progress.csv").write_text("steps\none\n")
-    (folder / "rated").mkdir()
-    (folder / "rated" / "progress.csv").write_text(
-        "episodes,seconds,success_rate,window,entropy\n10,1.0,2.0,10,nan\n"
-    )
     (folder / "policy").mkdir()
     (folder / "policy" / "policy.hpac").touch()
     return folder

@@ -29,7 +29,8 @@ def test_a_curve_reads_back_as_it_was_written(curve):
 
 def test_the_last_row_counts_no_trial_for_which_the_run_has_no_room(tmp_path):
     progress = Progress(tmp_path, 600, 10**9)
-    assert not progress.add([True] * 600 + [False] * 100, 1, lambda: {"entropy": -0.5})
+    progress.add([True] * 600 + [False] * 100, 1, lambda: {"entropy": -0.5})
+    assert not progress.going
     columns = read_curve(tmp_path / "progress.csv")
     assert (columns["episodes"], columns["success_rate"], columns["window"]) == (600, 1.0, 600)
 

@@ -179,7 +179,7 @@ def test_what_is_set_reaches_the_algorithm_the_worlds_and_the_environment(tmp_pa
 @pytest.mark.parametrize(
     ("words", "complaint"),
     [
-        ("ppo --set tau=0.02", "unknown options tau: there are grasp,"),
+        ("ppo --set tau=0.02", "unknown options tau: there are"),
         ("crossq --set gradient=1", "unknown options gradient: there are"),
         ("ppo --set n_steps=few", "ppo refuses its settings: "),
         ("ppo --set n_steps=1 --set num_envs=1", "ppo refuses its settings: "),

@@ -45,20 +45,15 @@ def test_settings_of_every_kind_are_read_and_the_recipe_stays_as_it_was():
         ("set_ups", "pybullet/light", "set_ups is 'pybullet/light': it must be one of"),
         ("release", "9,3", "release is (9.0, 3.0): it must be a lower and an upper bound"),
         ("release", "3,9", "begin and release are given together"),
-        ("sizes", "1.2,0.8", "sizes is (1.2, 0.8): it must be a lower and an upper bound"),
         ("pessimism", "-1", "pessimism is -1.0: it must lie in 0…10"),
         (
             "script_std",
             "0.1",
-            "script_std is 0.1: only HPAC-GraspType-v0 has a script for it, not HPAC-Grasp-v0",
+            "script_std is 0.1: only HPAC-GraspType-v0 has this setting, not HPAC-Grasp-v0",
         ),
-        ("sizes", "0.8,1.2", "only HPAC-GraspAny-v1 has objects of other sizes, not HPAC-Grasp-v0"),
+        ("sizes", "0.8,1.2", "only HPAC-GraspAny-v1 has this setting, not HPAC-Grasp-v0"),
         ("hands", "test", "hands is 'test': it must be one of nominal, train"),
-        (
-            "hands",
-            "train",
-            "hands is 'train': only HPAC-GraspAny-v1 has other hands, not HPAC-Grasp-v0",
-        ),
+        ("hands", "train", "hands is train: only HPAC-GraspAny-v1 has this setting"),
     ],
 )
 def test_a_wrong_setting_is_refused_in_its_own_terms(name, text, complaint):
