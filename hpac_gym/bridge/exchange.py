@@ -27,7 +27,6 @@ _ANSWERS = {"hello": "device_hello", "status": "device_status"}
 
 _SEQ_MAX = 0xFFFF
 _ROUND_TRIPS_KEPT = 100_000
-_UNACKNOWLEDGED_KEPT = 256
 
 
 @dataclass(slots=True)
@@ -135,8 +134,7 @@ class Exchange:
         refused: a message that was sent without waiting for an answer and that was refused, and its
             refusal, for the next call to raise; or None.
         host_frames: number of received frames of host message types, which indicate an echo.
-        on_ack: weak reference to a method, called with every message that was sent without waiting,
-            and its ACK; or None.
+        on_ack: weak reference to a method, called with every ACK for which nobody waits; or None.
     """
 
     def __init__(
@@ -152,14 +150,13 @@ class Exchange:
         self.sent: dict[str, int] = dict.fromkeys(MESSAGES, 0)
         self.refused: tuple[Frame, Frame] | None = None
         self.host_frames = 0
-        self.on_ack: WeakMethod[Callable[[Frame, Frame], None]] | None = None
+        self.on_ack: WeakMethod[Callable[[Frame], None]] | None = None
         self.statistics = statistics
         self.known = KnownState()
         self._check = check
         self._log = log
         self._seq = 0
         self._open: dict[int, _Open] = {}
-        self._unacknowledged: deque[Frame] = deque(maxlen=_UNACKNOWLEDGED_KEPT)
 
     def request(
         self,
@@ -201,7 +198,6 @@ class Exchange:
             PortError: The port is gone.
         """
         frame = self._frame(name, fields)
-        self._unacknowledged.append(frame)
         self._write(frame)
         return frame.seq
 
@@ -263,10 +259,9 @@ class Exchange:
             if not waiting.repeated:
                 self.statistics.round_trips.append(round_trip)
         elif frame.name == "ack":
-            sent = next((sent for sent in self._unacknowledged if sent.seq == frame.seq), None)
             on_ack = self.on_ack and self.on_ack()
-            if sent is not None and on_ack:
-                on_ack(sent, frame)
+            if on_ack:
+                on_ack(frame)
         self.known.take_in(frame, answered)
         self._record("received", encoded, frame, round_trip)
 

@@ -75,25 +75,20 @@ def _compiled(folder: Path, name: str) -> Path:
             done = subprocess.run(
                 [*command, "-o", made], cwd=folder, capture_output=True, text=True, check=False
             )
-            if done.returncode:
-                said = done.stderr.strip().splitlines() or ["it gives no reason"]
-                reason = next((line for line in said if "error" in line), said[-1])
-                raise FirmwareMissing(f"'{shlex.join(compiler)}' cannot compile {name}: {reason}")
-            made.replace(path)
+            if done.returncode == 0:
+                made.replace(path)
+                return path
     except OSError as error:
-        if isinstance(error, FirmwareMissing):
-            raise
         reason = error.strerror or str(error)
         raise FirmwareMissing(
             f"cannot write '{path}': {reason}; XDG_CACHE_HOME names another folder"
         ) from None
-    return path
+    said = done.stderr.strip().splitlines() or ["it gives no reason"]
+    reason = next((line for line in said if "error" in line), said[-1])
+    raise FirmwareMissing(f"'{shlex.join(compiler)}' cannot compile {name}: {reason}")
 
 
 def _cache() -> Path:
     """The user's folder for what can be made again."""
-    if given := os.environ.get("XDG_CACHE_HOME"):
-        base = Path(given)
-    else:
-        base = Path.home() / ("Library/Caches" if sys.platform == "darwin" else ".cache")
-    return base / "hpac_gym" / "firmware"
+    usual = os.path.expanduser("~/Library/Caches" if sys.platform == "darwin" else "~/.cache")
+    return Path(os.environ.get("XDG_CACHE_HOME") or usual) / "hpac_gym" / "firmware"

@@ -11,7 +11,7 @@ A far target is approached by moves that are longer than the period, at nearly t
 one only carries on, so that a frame that is early, late or lost costs no way."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from weakref import WeakMethod
 
 import numpy as np
@@ -50,6 +50,8 @@ class Ramp:
     begun: float
     until: float
     """When it begins and ends if its frame is not late at all [s]."""
+    fields: Fields
+    """Of its frame."""
 
     def poses(self, now: float, early: float) -> Array:
         """Least and greatest angles at which a frame that is sent now meets the hand, when any frame
@@ -110,7 +112,7 @@ class Stream:
         self._early = early
         status = link.status()
         # The moves that the hand may make, by the number of the command.
-        self._ramps = {0: Ramp(status.servo, status.servo, status.servo, 0.0, 0.0)}
+        self._ramps = {0: Ramp(status.servo, status.servo, status.servo, 0.0, 0.0, {})}
         self._share = status.rate_share
         self._status = link.last_status
         # The last command before a request of STATUS, and its time, by the request's number.
@@ -158,7 +160,7 @@ class Stream:
         self.counts.limited += 1e-3 * duration_ms > self.period + 1e-9
         fields: Fields = {"duration_ms": duration_ms, "servo": tuple(steps.tolist())}
         number = self._link.send_unanswered("move", fields)
-        self._ramps[number] = Ramp(low, high, to, now, now + 1e-3 * duration_ms)
+        self._ramps[number] = Ramp(low, high, to, now, now + 1e-3 * duration_ms, fields)
         self._asked[self._exchange.send("status")] = number, now
         self.counts.sent += 1
         later: Array = start + min(1.0, 1e3 * self.period / duration_ms) * (to - start)
@@ -211,7 +213,8 @@ class Stream:
             self._makes(accepted, last)
             ramp = self._ramps[accepted]
             there = status.servo
-            self._ramps[accepted] = Ramp(there, there, ramp.to, asked, max(ramp.until, asked))
+            until = max(ramp.until, asked)
+            self._ramps[accepted] = replace(ramp, low=there, high=there, begun=asked, until=until)
 
     def _makes(self, accepted: int, last: int) -> None:
         """The hand makes one move, and no other one of those up to `last`."""
@@ -222,19 +225,19 @@ class Stream:
                 self.counts.lost += number != first
                 del self._ramps[number]
 
-    def _answered(self, sent: Frame, ack: Frame) -> None:
+    def _answered(self, ack: Frame) -> None:
         """Take note of an answer: the hand makes this move now, or does not."""
-        if sent.name != "move" or sent.seq not in self._ramps:
+        if ack.seq not in self._ramps:
             return
         self._heard_at = self._exchange.transport.now()
         reason = ack.number("reason")
         if reason not in (Reason.ok, Reason.rate, Reason.hot):
-            self._exchange.refused = sent, ack
+            self._exchange.refused = Frame("move", fields=self._ramps[ack.seq].fields), ack
         if reason == Reason.ok:
             self.counts.acknowledged += 1
-            self._makes(sent.seq, sent.seq)
+            self._makes(ack.seq, ack.seq)
             return
-        del self._ramps[sent.seq]
+        del self._ramps[ack.seq]
         self.counts.refused += 1
         if reason == Reason.hot:
             self.counts.hot += 1

@@ -16,7 +16,6 @@ import pytest
 from hpac_gym.bridge import HandLink, LinkStatistics, PortError, VirtualHand, WireLog
 from hpac_gym.bridge.commands import _print_json
 from hpac_gym.bridge.doctor import Finding
-from hpac_gym.bridge.exchange import Exchange
 from hpac_gym.bridge.frame import Frame, decode
 from hpac_gym.bridge.limits import ServoLimits
 from hpac_gym.bridge.protocol import Fault, Field, Message, Reason, State
@@ -351,13 +350,6 @@ def test_a_log_line_has_microseconds_and_a_tenth_of_them_for_a_round_trip(tmp_pa
         "01",
         7,
     )
-
-
-def test_unacknowledged_numbers_are_forgotten_after_a_while(virtual_hand):
-    exchange = Exchange(virtual_hand.connect(), LinkStatistics())
-    for _ in range(300):
-        exchange.send("heartbeat")
-    assert [frame.seq for frame in exchange._unacknowledged] == list(range(45, 301))
 
 
 def test_json_is_indented_and_in_plain_letters(capsys):
