@@ -20,7 +20,7 @@ from hpac_gym.calibration.protocol import CLEARED
 from hpac_gym.calibration.record import RecordError, Sweep, read_sweep, write_sweep
 from hpac_gym.calibration.segment import Segment, added, angles_in
 from hpac_gym.camera import CameraError
-from hpac_gym.camera.detection import Device, Lens, Seen, Watch, detect, lens_of
+from hpac_gym.camera.detection import Device, Lens, Seen, Watch, lens_of
 from hpac_gym.camera.sheet import STRIPS
 from hpac_gym.model import HPAC, SERVOS, Hand
 from hpac_gym.output import writable_file
@@ -141,12 +141,7 @@ def record(
         lens = Lens()
         if camera is not None:
             name, lens = lens_of(camera)
-
-            def seen(picture: np.ndarray) -> Seen:
-                lens.require(picture)
-                return detect(picture)
-
-            watch = Watch(Device(name, lens.size), seen)
+            watch = Watch(Device(name, lens.size), lens.tags)
             stack.callback(watch.close)
             look = Eye(watch)
         link = stack.enter_context(HandLink(connector(port, stack, hand), hand=hand))

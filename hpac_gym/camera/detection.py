@@ -5,7 +5,7 @@ centre, distortion.
 import json
 import threading
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
@@ -16,7 +16,8 @@ import numpy as np
 
 from hpac_gym.camera import CameraError, opencv
 from hpac_gym.camera.sheet import TAGS
-from hpac_gym.model.checks import Array, as_finite_vector
+from hpac_gym.model.checks import Array
+from hpac_gym.settings import check_bounds, setting
 
 HD = (1280, 720)
 FIELD_OF_VIEW_DEG = 65.0
@@ -27,8 +28,9 @@ Seen = dict[int, Array]
 """
 READS = 5
 """Reads of a camera that fail in a row before it counts as gone (chosen)."""
-_MEASURED = {"size": 2, "focal": 2, "centre": 2, "distortion": 5}
-"""What a calibration measures, and how many numbers each has."""
+_MEASURED = ("size", "focal", "centre", "distortion")
+"""What a calibration measures."""
+_ANY = (-np.inf, np.inf)
 _Result = TypeVar("_Result")
 _EDGE_PART = (0.08, 0.92)
 """Part of an edge on which it is looked for."""
@@ -46,38 +48,39 @@ class Lens:
     as they stand those of a camera of `HD` with `FIELD_OF_VIEW_DEG`.
 
     Raises:
-        ShapeError: A number is missing or not finite.
-        CameraError: One is not positive where it must be, or a quaternion is not of length 1.
+        ParameterError: A number is missing, not finite, or not positive where it must be.
+        CameraError: A quaternion is not of length 1.
     """
 
-    size: tuple[int, int] = HD
+    size: tuple[int, int] = setting(HD, size=2, bounds=(0, np.inf), above=True, unit="pixels")
     """Width and height of its pictures [pixels]."""
-    focal: tuple[float, float] = (HD[0] / 2 / np.tan(np.radians(FIELD_OF_VIEW_DEG) / 2),) * 2
-    centre: tuple[float, float] = ((HD[0] - 1) / 2, (HD[1] - 1) / 2)
-    distortion: tuple[float, ...] = (0.0,) * 5
-    hand_board: tuple[float, ...] | None = None
+    focal: tuple[float, float] = setting(
+        (HD[0] / 2 / np.tan(np.radians(FIELD_OF_VIEW_DEG) / 2),) * 2,
+        size=2,
+        bounds=(0, np.inf),
+        above=True,
+        unit="pixels",
+    )
+    centre: tuple[float, float] = setting(
+        ((HD[0] - 1) / 2, (HD[1] - 1) / 2), size=2, bounds=_ANY, unit="pixels"
+    )
+    distortion: tuple[float, ...] = setting((0.0,) * 5, size=5, bounds=_ANY)
+    hand_board: tuple[float, ...] | None = setting(None, size=7, bounds=_ANY)
     """Where the hand's board is in the hand's frame: x, y, z [m] and a quaternion xyzw; None is
     `poses.HAND_BOARD`.
     """
-    object_board: tuple[float, ...] | None = None
+    object_board: tuple[float, ...] | None = setting(None, size=7, bounds=_ANY)
     """The same of the object's board in the object's axes; None: flat on its top."""
 
     def __post_init__(self) -> None:
-        boards = {
-            name: 7 for name in ("hand_board", "object_board") if getattr(self, name) is not None
-        }
-        for name, count in (_MEASURED | boards).items():
-            values = getattr(self, name)
-            as_finite_vector(values, count, name)
-            object.__setattr__(self, name, tuple(values))
-        if min(*self.size, *self.focal) <= 0:
-            raise CameraError(f"size {self.size} and focal {self.focal} must be positive [pixels]")
-        for name in boards:
-            if not 0.9 <= (length := np.linalg.norm(getattr(self, name)[3:])) <= 1.1:
+        check_bounds(self)
+        for name in ("hand_board", "object_board"):
+            board = getattr(self, name)
+            if board and not 0.9 <= (length := np.linalg.norm(board[3:])) <= 1.1:
                 raise CameraError(f"{name}: the quaternion's length is {length:.3g}, it must be 1")
 
-    def require(self, picture: np.ndarray) -> None:
-        """Check that a picture is of this camera.
+    def tags(self, picture: np.ndarray) -> Seen:
+        """The sheet's tags in a picture of this camera, see `detect`.
 
         Raises:
             CameraError: Its size is another one.
@@ -88,6 +91,7 @@ class Lens:
                 f"the camera's pictures have {width}×{height} pixels, its numbers are for "
                 f"{self.size[0]}×{self.size[1]}: calibrate it with `hpac tags --calibrate`"
             )
+        return detect(picture)
 
     @property
     def matrix(self) -> Array:
@@ -216,17 +220,16 @@ def _cross(a: Array, b: Array) -> Array:
     return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
 
 
-def rays(seen: Sequence[Array] | Array, lens: Lens) -> Array:
+def rays(pixels: Array, lens: Lens) -> Array:
     """Directions of pixels from the camera, as x and y at depth 1, without distortion.
 
     Args:
-        seen: pixels, shape (..., 2).
+        pixels: shape (..., 2).
         lens: the camera.
 
     Returns:
         Shape (..., 2).
     """
-    pixels = np.asarray(seen, dtype=float)
     flat = opencv().undistortPoints(
         pixels.reshape(-1, 1, 2), lens.matrix, np.array(lens.distortion)
     )

@@ -182,19 +182,21 @@ def _dry_run(options: argparse.Namespace, observer: Observer, policy: Any, sourc
     pose = averaged(source, options.average, options.oldest)
     observer.expects(pose)
     observation = observer.see(pose)
-    entries = observer.entries(observation)
+    labels = [(term, label) for term in observer.task.terms for label in term.labels]
+    entries = [
+        {"name": term.name, "label": label, "value": float(value), "unit": term.unit}
+        for (term, label), value in zip(labels, observation, strict=True)
+    ]
     given, _ = ask(policy, observation, None, np.array([True]))
     action = checked(given, observer)
     target = observer.command(action)
     placed = wrist(action, observer)
     if options.json:
-        names = ("name", "label", "value", "unit")
-        rows = [dict(zip(names, entry, strict=True)) for entry in entries]
         commands = {"start_rad": observer.servo.tolist(), "first_command_rad": target.tolist()}
-        say(True, "", observation=rows, servos=SERVOS, **commands, wrist=placed)
+        say(True, "", observation=entries, servos=SERVOS, **commands, wrist=placed)
         return
-    for name, label, value, unit in entries:
-        print(f"{name:<14} {label:<18} {value:9.4f}  {unit}")
+    for entry in entries:
+        print("{name:<14} {label:<18} {value:9.4f}  {unit}".format(**entry))
     print(f"\n{'servo':<14} {'start [rad]':>12} {'first command [rad]':>20}")
     for row in zip(SERVOS, observer.servo, target, strict=True):
         print("{:<14} {:12.4f} {:20.4f}".format(*row))

@@ -192,13 +192,5 @@ class Observer:
         self.servo = np.asarray(servo, dtype=float)
         self.step += 1
 
-    def entries(self, observation: Array) -> list[tuple[str, str, float, str]]:
-        """Every entry of an observation: term, label, value, unit."""
-        rows = [(term.name, label, term.unit) for term in self.task.terms for label in term.labels]
-        return [
-            (name, label, float(value), unit)
-            for (name, label, unit), value in zip(rows, observation, strict=True)
-        ]
-
     def _time(self) -> Array:
         return np.array([self.step / CONTROL_HZ])

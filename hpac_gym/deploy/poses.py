@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from hpac_gym.body.objects import ObjectSpec
-from hpac_gym.camera.detection import Device, Lens, Watch, detect, lens_of
+from hpac_gym.camera.detection import Device, Lens, Watch, lens_of
 from hpac_gym.camera.poses import object_place
 from hpac_gym.deploy.errors import MALFORMED, PoseError, udp
 from hpac_gym.deploy.observer import UPRIGHT, Pose
@@ -189,8 +189,7 @@ class Tags(Watch[Pose], Source):
 
     def __init__(self, frames: Device, lens: Lens, top: float) -> None:
         def look(picture: np.ndarray) -> Pose:
-            lens.require(picture)
-            place = object_place(detect(picture), lens, top)
+            place = object_place(lens.tags(picture), lens, top)
             turn = Rotation.from_matrix(place.rotation)
             return Pose(place.position, tuple(turn.as_quat().tolist()))
 
