@@ -4,11 +4,9 @@ picture and table is shown beside the command that made it.
 
 import argparse
 import json
-import os
 import re
 import runpy
 import shlex
-import subprocess
 import sys
 import textwrap
 from contextlib import redirect_stdout
@@ -19,8 +17,8 @@ import pytest
 
 from hpac import COMMANDS, parser_of
 from hpac_gym.model import HPAC, hand_to_toml
+from tests.processes import ROOT, python
 
-ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 PAGES = [
     ROOT / "README.md",
@@ -124,15 +122,16 @@ PROGRAMS = [
 ]
 
 
-def learns(page: Path) -> bool:
-    """Whether the programs of a page load a learner, which alone takes seconds."""
-    return "stable_baselines3" in "".join(blocks(page, "python"))
+LEARNER = "stable_baselines3"
+"""Loading one alone takes seconds."""
 
 
 @pytest.mark.parametrize(
     "page",
     [
-        pytest.param(page, id=name_of(page), marks=[pytest.mark.slow] if learns(page) else [])
+        pytest.param(
+            page, id=name_of(page), marks=[pytest.mark.slow] if LEARNER in text_of(page) else []
+        )
         for page in PROGRAMS
     ],
 )
@@ -148,15 +147,7 @@ def run_programs(page: Path, folder: Path) -> None:
     (folder / "hand.toml").write_text(hand_to_toml(HPAC))  # as `hpac calibrate` writes one
     file = folder / "programs.py"
     file.write_text(f"def main():\n{lines}\n\n\nif __name__ == '__main__':\n    main()\n")
-    done = subprocess.run(
-        [sys.executable, str(file)],
-        cwd=folder,
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
+    done = python(str(file), folder=folder)
     assert done.returncode == 0, done.stderr
 
 
@@ -166,20 +157,13 @@ README = text_of(ROOT / "README.md")
 @pytest.mark.parametrize(
     "program",
     [
-        pytest.param(program, marks=[pytest.mark.slow] if "stable_baselines3" in program else [])
+        pytest.param(program, marks=[pytest.mark.slow] if LEARNER in program else [])
         for program in blocks(ROOT / "README.md", "python")
     ],
     ids=lambda program: program.split()[1],
 )
 def test_a_program_of_the_readme_prints_and_complains_of_nothing(program):
-    done = subprocess.run(
-        [sys.executable, "-c", program],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
+    done = python("-c", program)
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip()
     assert done.stderr == ""
@@ -366,14 +350,7 @@ def test_the_table_of_contents_has_every_page_once():
 @pytest.mark.slow
 def test_the_site_builds_without_a_warning(tmp_path):
     words = ["-m", "sphinx", "-q", "--fail-on-warning", "--keep-going", str(DOCS), str(tmp_path)]
-    done = subprocess.run(
-        [sys.executable, *words],
-        cwd=ROOT,
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = python(*words)
     assert (done.returncode, done.stderr) == (0, "")
     assert "Every table" in (tmp_path / "measured.html").read_text(encoding="utf-8")
     real = (tmp_path / "real_hand.html").read_text(encoding="utf-8")

@@ -349,16 +349,6 @@ def test_without_its_packages_a_command_says_what_it_needs():
     assert "ModuleNotFoundError" in bug
 
 
-def packages_of_extras() -> dict[str, set[str]]:
-    """The distributions that each extra names, in lower case."""
-    text = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
-    extras = tomllib.loads(text)["project"]["optional-dependencies"]
-    return {
-        extra: {re.match(r"[\w-]+", line)[0].lower() for line in lines}
-        for extra, lines in extras.items()
-    }
-
-
 DISTRIBUTION = {
     "PIL": "pillow",
     "cv2": "opencv-python-headless",
@@ -371,7 +361,11 @@ DISTRIBUTION = {
 
 
 def test_the_extra_of_a_package_installs_it():
-    extras = packages_of_extras()
+    text = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    extras = {
+        extra: {re.match(r"[\w-]+", line)[0].lower() for line in lines}
+        for extra, lines in tomllib.loads(text)["project"]["optional-dependencies"].items()
+    }
     carried = {"jax": "sbx"}  # sbx-rl requires it
     for package, extra in EXTRA_OF.items():
         named = DISTRIBUTION.get(package, package)

@@ -1,7 +1,6 @@
 """The rooms of docs/architecture.md, read from the imports of every module."""
 
 import ast
-import subprocess
 import sys
 from collections.abc import Iterator
 from graphlib import CycleError, TopologicalSorter
@@ -9,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[1]
+from tests.processes import ROOT, python
 
 # From bottom to top, with what each room may import from outside beside the standard library. A
 # module imports its own room and the rooms before it. An engine's folder belongs to `physics`.
@@ -168,7 +167,5 @@ sys.meta_path.insert(0, Refuse())
 for name in {names!r}:
     importlib.import_module(name)
 """
-    done = subprocess.run(
-        [sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=False
-    )
+    done = python("-c", script)
     assert done.returncode == 0, done.stderr

@@ -1,9 +1,7 @@
 """docs/own_task.md as a new user follows it: its programs run, and its tasks go wherever an id goes."""
 
 import json
-import os
 import re
-import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import closing
@@ -23,8 +21,8 @@ from hpac_gym.envs.snapshots import undeclared
 from hpac_gym.errors import EnvError, HpacError, ParameterError
 from hpac_gym.physics.simulation import is_installed
 from hpac_gym.tasks.task import Task
+from tests.processes import ROOT, python
 
-ROOT = Path(__file__).resolve().parents[1]
 PAGE = (ROOT / "docs" / "own_task.md").read_text(encoding="utf-8")
 CHANGED, FRESH, USED = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)
 COMMANDS = re.search(r"```\n(hpac evaluate.*?)```", PAGE, flags=re.DOTALL)[1].splitlines()
@@ -45,15 +43,7 @@ def run(folder: Path, *words: str) -> str:
     """What a Python program prints in that folder."""
     # The installed `hpac` has not the folder on its path, as `python -m` has.
     own = ["-P"] if "hpac" in words else []
-    done = subprocess.run(
-        [sys.executable, *own, *words],
-        cwd=folder,
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
+    done = python(*own, *words, folder=folder)
     assert done.returncode == 0, done.stderr
     return done.stdout
 
