@@ -32,54 +32,31 @@ L_SHAPE = [(0, 0), (60, 0), (60, 20), (20, 20), (20, 80), (0, 80)]
 CUT = [(0, 1, 2), (0, 2, 3), (0, 3, 5), (3, 4, 5)]
 DEPTH = 40.0
 """[mm]"""
-WEDGE = np.array(
-    [
-        [[0, 0, 0], [0, 40, 0], [60, 0, 0]],
-        [[0, 0, 0], [60, 0, 0], [0, 0, 120]],
-        [[0, 0, 0], [0, 0, 120], [0, 40, 0]],
-        [[60, 0, 0], [0, 40, 0], [0, 0, 120]],
-    ],
-    dtype=float,
+WEDGE = trimesh.Trimesh(
+    [[0, 0, 0], [0, 40, 0], [60, 0, 0], [0, 0, 120]], [[0, 1, 2], [0, 2, 3], [0, 3, 1], [2, 1, 3]]
 )
-"""Triangles of a convex mesh, which is its own single part, found without CoACD [mm]."""
+"""A convex mesh, which is its own single part, found without CoACD [mm]."""
 BOX = ObjectSpec("box", (0.02, 0.02, 0.05), 0.1, 0.8)
 SPEC = {"shape": "box", "half_extents": [0.02, 0.02, 0.05], "mass": 0.1, "friction": 0.8}
 
 
-def l_faces() -> np.ndarray:
-    """Triangles of the L, shape (20, 3, 3) [mm]."""
-    front, back = (np.array([(x, y, z) for x, z in L_SHAPE]) for y in (0.0, DEPTH))
-    faces = [front[list(corners)] for corners in CUT] + [
-        back[list(reversed(corners))] for corners in CUT
-    ]
-    for one, other in zip(range(6), [*range(1, 6), 0], strict=True):
-        faces += [
-            np.array([front[other], front[one], back[one]]),
-            np.array([front[other], back[one], back[other]]),
-        ]
-    return np.array(faces)
-
-
-def stl(faces: np.ndarray) -> str:
-    """Text of an STL file."""
-    corners = ["".join(f"vertex {x} {y} {z}\n" for x, y, z in face) for face in faces]
-    facets = "".join(
-        f"facet normal 0 0 0\nouter loop\n{text}endloop\nendfacet\n" for text in corners
-    )
-    return f"solid shape\n{facets}endsolid shape\n"
+def l_mesh() -> trimesh.Trimesh:
+    """The L, from y = 0 to its depth [mm]."""
+    mesh = trimesh.creation.extrude_triangulation(L_SHAPE, CUT, DEPTH)
+    return mesh.apply_transform([[1, 0, 0, 0], [0, 0, -1, DEPTH], [0, 1, 0, 0], [0, 0, 0, 1]])
 
 
 @pytest.fixture
 def ell(tmp_path):
     path = tmp_path / "ell.stl"
-    path.write_text(stl(l_faces()))
+    l_mesh().export(path)
     return path
 
 
 @pytest.fixture
 def wedge(tmp_path):
     path = tmp_path / "ell.stl"
-    path.write_text(stl(WEDGE))
+    WEDGE.export(path)
     return path
 
 
@@ -87,7 +64,7 @@ def wedge(tmp_path):
 def decomposed(tmp_path_factory):
     """A folder with the parts of `ell`."""
     folder = tmp_path_factory.mktemp("parts")
-    (folder / "ell.stl").write_text(stl(l_faces()))
+    l_mesh().export(folder / "ell.stl")
     own_object(folder / "ell.stl", mass=0.1, scale=0.001)
     return folder
 
@@ -254,14 +231,19 @@ def urdf(geometry: str, mass: str = "0.1") -> str:
     return f"<robot name='x'><link name='a'><inertial><mass value='{mass}'/></inertial>{shape}</link></robot>"
 
 
-FLAT = np.array([[[0, 0, 0], [9, 0, 0], [0, 9, 0]], [[0, 0, 0], [0, 9, 0], [9, 0, 0]]], dtype=float)
+HOLED = trimesh.Trimesh(l_mesh().vertices, l_mesh().faces[1:])
+FLAT = trimesh.Trimesh([[0, 0, 0], [9, 0, 0], [0, 9, 0]], [[0, 1, 2], [0, 2, 1]])
 BAD_FILES = {
     "a hole": (
         "hole.stl",
-        stl(l_faces()[1:]),
+        HOLED.export(file_type="stl_ascii"),
         "'.*hole.stl' is not watertight: every edge must belong to two triangles",
     ),
-    "flat": ("flat.stl", stl(FLAT), "'.*flat.stl' is flat: it has no volume"),
+    "flat": (
+        "flat.stl",
+        FLAT.export(file_type="stl_ascii"),
+        "'.*flat.stl' is flat: it has no volume",
+    ),
     "no triangles": (
         "none.stl",
         "solid x\nendsolid x\n",
