@@ -5,7 +5,6 @@ object stands still, so that a lift is seen. A row begins with what it shows and
 why; a row of postures begins with its goal.
 """
 
-import argparse
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -16,7 +15,7 @@ import gymnasium
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from hpac_gym.command import Parser, run, seconds, whole_number
+from hpac_gym.command import command_parser, run, seconds, whole_number
 from hpac_gym.envs.episodes import open_episodes
 from hpac_gym.errors import ParameterError
 from hpac_gym.evaluation.environment import make_env
@@ -192,26 +191,18 @@ def sheet(rows: Sequence[Row]) -> Image.Image:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command; returns its exit status."""
-    parser = Parser(
-        prog="python -m tools.film_strip", description="Draw episodes as strips of pictures."
-    )
+    """Draw episodes, and write the picture."""
+    parser = command_parser("tools.film_strip", __doc__)
     parser.add_argument("id", help="id of the environment, such as HPAC-Grasp-v0")
-    parser.add_argument(
-        "--policy",
-        default="scripted",
-        help="scripted, random, or a policy file (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--engine", default="mujoco", choices=ENGINES, help="physics (default: %(default)s)"
-    )
+    parser.add_argument("--policy", default="scripted", help="scripted, random, or a policy file")
+    parser.add_argument("--engine", default="mujoco", choices=ENGINES, help="physics")
     parser.add_argument(
         "--seeds",
         nargs="+",
         type=whole_number(0),
         default=[0],
         metavar="SEED",
-        help="one row each (default: 0)",
+        help="one row each",
     )
     parser.add_argument(
         "--at",
@@ -226,13 +217,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         type=Path,
         default=Path("runs/film_strip.png"),
         metavar="PNG",
-        help="default: %(default)s",
+        help="the picture",
     )
     options = parser.parse_args(argv)
-    return run(lambda: _draw(options))
-
-
-def _draw(options: argparse.Namespace) -> int:
     given = {"engine": options.engine} | needed_options(options.policy)
     with make_env(options.id, render_mode="rgb_array", **given) as env:
         policy = load_policy(options.policy, env)
@@ -248,4 +235,4 @@ def _draw(options: argparse.Namespace) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run(main))

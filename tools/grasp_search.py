@@ -83,18 +83,15 @@ def elite(points: Array, drawn: Array) -> tuple[Array, Array]:
 
 def search(options: argparse.Namespace) -> GraspType:
     """Run the search with the options of `main` and return the resulting type."""
-    name = options.name
-    generations = options.generations
     population = options.population
     engines = options.engines
-    kind = GRASP_TYPES[name]
+    kind = GRASP_TYPES[options.name]
     rng = np.random.default_rng(options.seed)
     mean = np.concatenate(
         [kind.start.closed, kind.start.preshape, kind.start.position, np.zeros(3)]
     )
     sigma = options.spread * SPREAD
-    sigma[options.fixed] = 0.0
-    for generation in range(generations):
+    for generation in range(options.generations):
         drawn = mean + sigma * rng.standard_normal((population, len(mean)))
         drawn[0] = mean
         points = np.zeros(population)
@@ -114,7 +111,7 @@ def search(options: argparse.Namespace) -> GraspType:
         best, mean = elite(points, drawn)
         sigma *= SHRINK
         print(
-            f"{name} {generation + 1}/{generations}: best {points[best[0]]:.2f}, mean {points[0]:.2f}, successes "
+            f"{options.name} {generation + 1}/{options.generations}: best {points[best[0]]:.2f}, mean {points[0]:.2f}, successes "
             f"{wins[0]:.0f} and {wins[best[0]]:.0f} of {len(engines)}, elite {wins[best].sum():.0f} of "
             f"{len(engines) * len(best)}, {spoiled} start in touch",
             file=sys.stderr,
@@ -125,7 +122,6 @@ def search(options: argparse.Namespace) -> GraspType:
 
 def write(grasp_type: GraspType) -> None:
     """Write the result to the data of the posture and the type."""
-    name = grasp_type.start.name
     start = grasp_type.start
     joints = np.minimum(
         joints_from_synergy(start.closed).round(3), np.floor(1e3 * HPAC.joint_max) / 1e3
@@ -135,10 +131,10 @@ def write(grasp_type: GraspType) -> None:
         digit: [joints[JOINT_INDEX[f"{digit}_{part}"]] for part in names]
         for digit, names in parts.items()
     }
-    replace_values(POSTURES_FILE, name, targets)
+    replace_values(POSTURES_FILE, start.name, targets)
     replace_values(
         TYPES_FILE,
-        name,
+        start.name,
         {
             "hand_rpy_deg": np.degrees(start.hand_rpy).round(1).tolist(),
             "position": list(start.position),
@@ -171,15 +167,6 @@ def main(argv: list[str] | None = None) -> int:
         metavar="ENGINE/BODY/RANDOMIZE",
         default=["mujoco/twin/nominal", "mujoco/light/hand", "pybullet/twin/hand"],
         help="with one episode per candidate each",
-    )
-    parser.add_argument(
-        "--fixed",
-        nargs="*",
-        type=int,
-        choices=range(len(SPREAD)),
-        metavar="INDEX",
-        default=[],
-        help="indices of a candidate's numbers that stay fixed",
     )
     parser.add_argument(
         "--spread", type=float, default=1.0, help="factor of the initial standard deviations"

@@ -3,6 +3,7 @@ handheld objects, from `tools.families`. `make generate` writes ``data/procedura
 `SEED`."""
 
 import colorsys
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -78,38 +79,41 @@ def _metres(part: Part) -> Part:
     return part | lengths | size | turn | {"mass": round(part["mass"], 5), "center": center}
 
 
-def is_fit(model: ObjectModel, heaviest: float = MAX_MASS) -> bool:
-    """Whether the hand can span the object's smallest side and carry its mass."""
-    return (
-        min(model.size) <= SPAN
-        and sorted(model.size)[1] > 0.012
-        and MIN_MASS <= model.mass <= heaviest
-    )
+def fitting_entry(
+    name: str,
+    family: str,
+    rng: np.random.Generator,
+    apart: Sequence[ObjectModel] = (),
+    heaviest: float = MAX_MASS,
+) -> tuple[dict[str, Any], ObjectModel]:
+    """Sample objects of a family until the hand can span one's smallest side and carry its mass, and
+    it is like none of the objects `apart`.
+    """
+    while True:
+        made, model = entry(name, family, rng)
+        if (
+            min(model.size) <= SPAN
+            and sorted(model.size)[1] > 0.012
+            and MIN_MASS <= model.mass <= heaviest
+            and all(difference(model, other) > MIN_DIFFERENCE for other in apart)
+        ):
+            return made, model
 
 
 def draw() -> dict[str, dict[str, Any]]:
-    """Sample every entry of the file, by name, training objects first."""
+    """Sample every entry of the file but the plain ones, by name, training objects first."""
     rng = np.random.default_rng(SEED)
     drawn = {}
     trained = []
-
-    def add(name: str, family: str) -> ObjectModel:
-        while True:
-            made, model = entry(name, family, rng)
-            new = (
-                name.startswith("train")
-                or min(difference(model, other) for other in trained) > MIN_DIFFERENCE
-            )
-            if is_fit(model) and new:
-                drawn[name] = made
-                return model
-
     for index, family in enumerate(family for family in FAMILIES for _ in range(TRAIN_OF_EACH)):
-        trained.append(add(f"train_{index:03d}", family))
+        name = f"train_{index:03d}"
+        drawn[name], model = fitting_entry(name, family, rng)
+        trained.append(model)
     held_out = [family for family in FAMILIES for _ in range(KNOWN_OF_EACH)]
     held_out += [family for family in NEW_FAMILIES for _ in range(NEW_OF_EACH)]
     for index, family in enumerate(held_out):
-        add(f"test_{index:02d}", family)
+        name = f"test_{index:02d}"
+        drawn[name], _ = fitting_entry(name, family, rng, trained)
     return drawn
 
 
@@ -119,11 +123,7 @@ def draw_plain(apart: list[ObjectModel]) -> dict[str, dict[str, Any]]:
     drawn: dict[str, dict[str, Any]] = {}
     for family in (family for family, count in PLAIN_OF_EACH.items() for _ in range(count)):
         name = f"plain_{len(drawn):03d}"
-        while name not in drawn:
-            made, model = entry(name, family, rng)
-            new = min(difference(model, other) for other in apart) > MIN_DIFFERENCE
-            if new and is_fit(model, MAX_PLAIN_MASS):
-                drawn[name] = made
+        drawn[name], _ = fitting_entry(name, family, rng, apart, MAX_PLAIN_MASS)
     return drawn
 
 
@@ -138,16 +138,12 @@ def procedural_objects() -> str:
     plain = draw_plain(apart)
     counts = {"train": len(entries) - len(test), "test": len(test), "plain": len(plain)}
     entries |= plain
-    text = HEADER.format(seed=SEED, **counts)
+    lines = [HEADER.format(seed=SEED, **counts)]
     for name, values in entries.items():
-        text += f"\n[{name}]\n"
-        text += "".join(
-            f"{key} = {_toml(value)}\n" for key, value in values.items() if key != "solids"
-        )
-        text += (
-            "solids = [\n" + "".join(f"    {_toml(part)},\n" for part in values["solids"]) + "]\n"
-        )
-    return text
+        lines.append(f"\n[{name}]\n")
+        lines += [f"{key} = {_toml(value)}\n" for key, value in values.items() if key != "solids"]
+        lines += ["solids = [\n", *(f"    {_toml(part)},\n" for part in values["solids"]), "]\n"]
+    return "".join(lines)
 
 
 def _toml(value: Any) -> str:

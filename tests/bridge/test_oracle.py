@@ -387,7 +387,7 @@ def test_only_the_first_hundred_complaints_are_kept():
         stage.show(REST)
     assert stage.oracle.broken["unarmed"] == 150
     assert len(stage.oracle.complaints) == 100
-    assert stage.oracle.complaints[0].now_us == 1000
+    assert stage.oracle.complaints[0][:2] == ("unarmed", 1000)
 
 
 def test_an_oracle_that_saw_nothing_has_tried_nothing():

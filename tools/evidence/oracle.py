@@ -7,13 +7,14 @@ codec or the firmware core."""
 
 import struct
 import zlib
+from collections import Counter
 
 import numpy as np
 
 from hpac_gym.bridge.evidence import codec as wire
 from hpac_gym.model import HPAC, SERVOS, Hand
-from tools.evidence.findings import Findings
 
+RULES = ("range", "rate", "start", "unarmed", "estop", "silence", "accept")
 WATCHDOG_US = (100_000, 2_000_000)
 HOLD_US = 30_000_000
 RELAX_SHARE = 0.25
@@ -32,6 +33,27 @@ CREDIT_ANGLE = 1e-4
 
 KNOWN = (wire.FAULT_ESTOP, wire.FAULT_WATCHDOG)
 """Faults whose cause the oracle has seen itself."""
+
+
+class Findings:
+    """The violations found so far.
+
+    Attributes:
+        complaints: rule, time [µs] and text of the first hundred violations, in order.
+        broken: number of violations, by rule.
+        tried: number of checks of each of `RULES`.
+    """
+
+    def __init__(self) -> None:
+        self.complaints: list[tuple[str, int, str]] = []
+        self.broken: Counter[str] = Counter()
+        self.tried: Counter[str] = Counter(dict.fromkeys(RULES, 0))
+
+    def complain(self, rule: str, now_us: int, text: str) -> None:
+        """Note a violation."""
+        self.broken[rule] += 1
+        if len(self.complaints) < 100:
+            self.complaints.append((rule, now_us, text))
 
 
 class Conversation:

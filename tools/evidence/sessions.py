@@ -127,10 +127,6 @@ class Sessions:
     that reached it, by its safe action; must be at most `BOUND` [s]."""
 
 
-class _UserError(Exception):
-    pass
-
-
 def _program(
     link: HandLink, hand: VirtualHand, rng: np.random.Generator, action: Action, watchdog: float
 ) -> None:
@@ -159,7 +155,7 @@ def _program(
             link.estop()
     ending = rng.random()
     if ending < 0.2:
-        raise _UserError
+        raise ValueError("a mistake of the user")
     if ending < 0.3:
         raise SystemExit(3)
 
