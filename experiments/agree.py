@@ -6,8 +6,8 @@ object displaced imperceptibly. Contact amplifies every difference, so single ep
 before success rates do."""
 
 import json
-import os
 import sys
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from operator import eq
@@ -19,6 +19,7 @@ import numpy as np
 from hpac_gym.body.urdf import WRIST_EFFORT
 from hpac_gym.command import command_parser, run, whole_number
 from hpac_gym.errors import ParameterError
+from hpac_gym.evaluation.evaluate import add_seeds_and_workers
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import paired_difference, success_counts
 from hpac_gym.evaluation.workers import shared
@@ -47,22 +48,6 @@ wrist's force; either engine at another rate."""
 
 
 @dataclass(frozen=True, slots=True)
-class Variant:
-    """One way of simulating the episodes."""
-
-    engine: str
-    body: str
-    variation: str = ""
-    """Name of one of `VARIATIONS`; empty for the engine's own physics."""
-    moved: float = 0.0
-    """Displacement of the object along the palm's normal [m]."""
-
-    @property
-    def name(self) -> str:
-        return "/".join(filter(None, (self.engine, self.body, self.variation)))
-
-
-@dataclass(frozen=True, slots=True)
 class Trial:
     """The outcome of one episode and the shape of its object."""
 
@@ -70,8 +55,29 @@ class Trial:
     shape: str
 
 
-def run_trials(policy: str, variant: Variant, seeds: Sequence[int], randomize: str) -> list[Trial]:
-    """Episodes of one policy in one variant, in an environment of their own."""
+def parsed(set_up: str) -> tuple[str, str, WorldSettings]:
+    """Engine, body and physics of a set-up, engine/body or engine/body/variation.
+
+    Raises:
+        ParameterError: It is not of that form.
+    """
+    match set_up.split("/"):
+        case [engine, body] if engine and body:
+            return engine, body, WorldSettings()
+        case [engine, body, variation] if engine and body and variation in VARIATIONS:
+            return engine, body, VARIATIONS[variation]
+    known = ", ".join(VARIATIONS)
+    raise ParameterError(
+        f"set-up {set_up!r} must be an engine and a body, such as mujoco/light, then perhaps one of {known}"
+    )
+
+
+def run_trials(
+    policy: str, set_up: str, moved: float, seeds: Sequence[int], randomize: str
+) -> list[Trial]:
+    """Episodes of one policy in one set-up, in an environment of their own, with the object displaced
+    along the palm's normal [m].
+    """
     from hpac_gym.envs import Grasp, HandEnv
     from hpac_gym.evaluation.episodes import run_episodes, single
     from hpac_gym.physics.simulation import make_engine
@@ -82,11 +88,11 @@ def run_trials(policy: str, variant: Variant, seeds: Sequence[int], randomize: s
 
         def setup(self, rng, hand):
             setup = super().setup(rng, hand)
-            return replace(setup, position=setup.position + np.array([variant.moved, 0.0, 0.0]))
+            return replace(setup, position=setup.position + np.array([moved, 0.0, 0.0]))
 
-    world = VARIATIONS.get(variant.variation, WorldSettings())
-    physics = make_engine(variant.engine, 1, world)
-    with HandEnv(Moved(), physics=physics, body=variant.body, randomize=randomize) as env:
+    engine, body, world = parsed(set_up)
+    physics = make_engine(engine, 1, world)
+    with HandEnv(Moved(), physics=physics, body=body, randomize=randomize) as env:
         env.spec = gymnasium.spec(GRASP)
         actor = load_policy(policy, env)
         trials = []
@@ -101,11 +107,11 @@ def compare(first: Sequence[Trial], second: Sequence[Trial]) -> dict[str, Any]:
     the share that agrees.
     """
     before, after = ([trial.success for trial in part] for part in (first, second))
-    difference, low, high = paired_difference(after, before)
+    difference, *interval = paired_difference(after, before)
     return {
         "episodes": len(before),
         "difference": difference,
-        "interval_95": [low, high],
+        "interval_95": interval,
         "agree": sum(map(eq, before, after)) / len(before),
     }
 
@@ -137,62 +143,51 @@ def agreement(
         PolicyError: The policy cannot be loaded, or was made for another environment.
         WorkerError: A worker process was ended from outside.
     """
-    plain = [_variant(name) for name in dict.fromkeys(set_ups)]
+    names = list(dict.fromkeys(set_ups))
+    for name in names:
+        run_trials(policy, name, 0.0, (), randomize)  # errors are raised here, not in a worker
     moves = FLOOR if floor else ()
-    variants = plain + [replace(variant, moved=moved) for variant in plain for moved in moves]
-    for variant in plain:
-        run_trials(policy, variant, (), randomize)  # errors are raised here, not in a worker
     seeds = range(seed_start, seed_start + episodes)
-    parts = [seeds[start : start + CHUNK] for start in range(0, episodes, CHUNK)]
-    jobs = [(policy, variant, part, randomize) for variant in variants for part in parts]
-    found: dict[Variant, list[Trial]] = {variant: [] for variant in variants}
+    jobs = [
+        (policy, name, moved, seeds[start : start + CHUNK], randomize)
+        for name in names
+        for moved in (0.0, *moves)
+        for start in range(0, episodes, CHUNK)
+    ]
+    found: dict[tuple[str, float], list[Trial]] = defaultdict(list)
     done = shared(run_trials, jobs, workers, "agree")
-    for (_, variant, *_), trials in zip(jobs, done, strict=True):
-        found[variant] += trials
-    reference = found[plain[0]]
+    for (_, name, moved, *_), trials in zip(jobs, done, strict=True):
+        found[name, moved] += trials
+    first = names[0]
+    reference = found[first, 0.0]
     shapes = sorted({trial.shape for trial in reference})
     rows = []
-    for variant in plain:
-        trials = found[variant]
-        row = {"set_up": variant.name, "success": _rate(trials)}
-        row["by_shape"] = {
-            shape: _rate([trial for trial in trials if trial.shape == shape]) for shape in shapes
-        }
-        if variant is not plain[0]:
-            row["over"] = plain[0].name
-            row |= compare(reference, trials)
+    for name in names:
+        trials = found[name, 0.0]
+        of_shape = {shape: _only(trials, shape) for shape in shapes}
+        row = {"set_up": name, "success": _rate(trials)}
+        row["by_shape"] = {shape: _rate(part) for shape, part in of_shape.items()}
+        if name != first:
+            row |= {"over": first, **compare(reference, trials)}
             row["difference_by_shape"] = {
-                shape: compare(_only(reference, shape), _only(trials, shape)) for shape in shapes
+                shape: compare(_only(reference, shape), part) for shape, part in of_shape.items()
             }
         row["floor"] = {
-            f"{1e3 * moved:g} mm": compare(trials, found[replace(variant, moved=moved)])
-            for moved in moves
+            f"{1e3 * moved:g} mm": compare(trials, found[name, moved]) for moved in moves
         }
         rows.append(row)
-    about = {
+    return {
         "task": GRASP,
         "policy": policy,
         "first_seed": seed_start,
         "episodes": episodes,
         "randomize": randomize,
+        "set_ups": rows,
     }
-    return about | {"set_ups": rows}
 
 
 def _only(trials: Sequence[Trial], shape: str) -> list[Trial]:
     return [trial for trial in trials if trial.shape == shape]
-
-
-def _variant(name: str) -> Variant:
-    match name.split("/"):
-        case [engine, body] if engine and body:
-            return Variant(engine, body)
-        case [engine, body, variation] if engine and body and variation in VARIATIONS:
-            return Variant(engine, body, variation)
-    known = ", ".join(VARIATIONS)
-    raise ParameterError(
-        f"set-up {name!r} must be an engine and a body, such as mujoco/light, then perhaps one of {known}"
-    )
 
 
 def _rate(trials: Sequence[Trial]) -> dict[str, Any]:
@@ -201,35 +196,30 @@ def _rate(trials: Sequence[Trial]) -> dict[str, Any]:
 
 def table(result: dict[str, Any]) -> str:
     """The result as tables in Markdown."""
-    floors = [
-        f"agrees with itself, object moved by {moved}" for moved in result["set_ups"][0]["floor"]
-    ]
+    first = result["set_ups"][0]
+    floors = [f"agrees with itself, object moved by {moved}" for moved in first["floor"]]
     head = ["set-up", "success", "95 % interval", "difference", "95 % interval", "agree", *floors]
     rows = []
     by_shape = []
     for row in result["set_ups"]:
         rate = row["success"]
-        (low, high) = row["success"]["interval_95"]
+        low, high = rate["interval_95"]
         cells = [row["set_up"], f"{rate['success_rate']:.1%}", f"{low:.1%} … {high:.1%}"]
-        if "difference" in row:
-            low, high = row["interval_95"]
-            cells += [
-                f"{100 * row['difference']:+.1f}",
-                f"{100 * low:+.1f} … {100 * high:+.1f}",
-                f"{row['agree']:.1%}",
-            ]
-        else:
+        if row is first:
             cells += ["–", "–", "–"]
+        else:
+            cells += [*_difference(row), f"{row['agree']:.1%}"]
+            parts = row["difference_by_shape"].values()
+            told = ["{} ({}) of {}".format(*_difference(part), part["episodes"]) for part in parts]
+            by_shape.append([row["set_up"], *told])
         rows.append([*cells, *(f"{found['agree']:.1%}" for found in row["floor"].values())])
-        if "difference_by_shape" in row:
-            by_shape.append([row["set_up"], *map(_interval, row["difference_by_shape"].values())])
-    shapes = ["difference by object", *result["set_ups"][0]["by_shape"]]
+    shapes = ["difference by object", *first["by_shape"]]
     return f"{markdown(head, rows)}\n\n{markdown(shapes, by_shape)}"
 
 
-def _interval(entry: dict[str, Any]) -> str:
+def _difference(entry: dict[str, Any]) -> tuple[str, str]:
     low, high = entry["interval_95"]
-    return f"{100 * entry['difference']:+.1f} ({100 * low:+.1f} … {100 * high:+.1f}) of {entry['episodes']}"
+    return f"{100 * entry['difference']:+.1f}", f"{100 * low:+.1f} … {100 * high:+.1f}"
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -259,20 +249,7 @@ def main(argv: list[str] | None = None) -> int:
         help="do not compare the set-ups with themselves",
     )
     parser.add_argument("--randomize", default="nominal", help="nominal, hand, link or full")
-    parser.add_argument(
-        "--seed-start",
-        type=whole_number(0),
-        default=HELD_OUT_SEED,
-        metavar="SEED",
-        help="seed of the first episode",
-    )
-    parser.add_argument(
-        "--workers",
-        type=whole_number(1),
-        default=os.cpu_count() or 1,
-        metavar="N",
-        help="number of processes",
-    )
+    add_seeds_and_workers(parser)
     parser.add_argument(
         "--json", action="store_true", help="print one JSON object instead of the tables"
     )

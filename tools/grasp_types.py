@@ -17,7 +17,7 @@ import gymnasium
 import numpy as np
 from PIL import Image
 
-from experiments.agree import VARIATIONS
+from experiments.agree import VARIATIONS, parsed
 from hpac_gym.command import command_parser, run, whole_number
 from hpac_gym.evaluation.episodes import run_episodes, single
 from hpac_gym.evaluation.pictures import VIEW, VIEW_CENTRE, Portrait, contact_sheet
@@ -25,7 +25,6 @@ from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.model import POSTURES
 from hpac_gym.output import markdown, replacing, write_text
 from hpac_gym.physics.engine import PARTS
-from hpac_gym.physics.settings import WorldSettings
 from hpac_gym.physics.simulation import SET_UPS
 from hpac_gym.policies.loading import load_policy
 from hpac_gym.progress import progress
@@ -55,8 +54,7 @@ def judge(name: str, set_up: str, hand: str, episodes: int) -> dict[str, Any]:
     """Run episodes of one type in one set-up; returns successes, holds, failed clauses and
     contacting parts.
     """
-    engine, body, *variation = set_up.split("/")
-    world = VARIATIONS[variation[0]] if variation else WorldSettings()
+    engine, body, world = parsed(set_up)
     seeds = [HELD_OUT_SEED + index for index in range(episodes)]
     worlds = WORLDS if engine == "mujoco" else 1
     types = [GRASP_TYPES[name]] * episodes
