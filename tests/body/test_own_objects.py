@@ -218,13 +218,6 @@ def test_parts_of_another_mesh_of_the_same_name_or_a_damaged_file_are_made_anew(
     assert len(json.loads(file.read_text())["parts"]) == 1
 
 
-def test_a_failure_leaves_no_file(wedge, tmp_path, monkeypatch):
-    monkeypatch.setattr(own_meshes.json, "dumps", lambda value: 1 / 0)
-    with pytest.raises(ZeroDivisionError):
-        own_object(wedge, mass=0.1, scale=0.001)
-    assert [path.name for path in tmp_path.iterdir()] == ["ell.stl"]
-
-
 def urdf(geometry: str, mass: str = "0.1") -> str:
     """Text of a URDF of one link."""
     shape = f"<collision><geometry>{geometry}</geometry></collision>"
@@ -362,11 +355,6 @@ def test_the_mass_that_a_urdf_says_is_checked_as_one_that_is_given(mass, tmp_pat
     ):
         own_object(tmp_path / "box.urdf")
     assert own_object(tmp_path / "box.urdf", mass=0.2).mass == 0.2
-
-
-def test_a_missing_file_is_named(tmp_path):
-    with pytest.raises(ParameterError, match=r"no object file '.*mug.stl'"):
-        own_object(tmp_path / "mug.stl", mass=0.1)
 
 
 URDF = """<robot name="mallet">

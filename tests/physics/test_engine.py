@@ -354,19 +354,15 @@ def test_a_point_of_contact_in_pybullet_is_on_the_object_and_not_on_the_skin_ins
     simulation.engine.close()
 
 
-@engines
-def test_a_failed_simulation_names_its_world(name):
-    engine = make_engine(name, 3)
+@pytest.mark.pybullet
+def test_a_failed_simulation_in_pybullet_names_its_world():
+    engine = make_engine("pybullet", 3)
     engine.reset(range(3), [setup(None, seed) for seed in range(3)])
     servo = np.zeros((3, STEPS, 6))
     servo[1] = np.nan
-
-    def step() -> None:
-        engine.advance(servo, np.zeros_like(servo), np.zeros((3, STEPS, 3)))
+    engine.advance(servo, np.zeros_like(servo), np.zeros((3, STEPS, 3)))
+    with pytest.raises(PhysicsError, match=r"world 1 of 3: joint angles .* are not finite"):
         engine.state()
-
-    with pytest.raises(PhysicsError, match="world 1"):
-        step()
     engine.close()
 
 
