@@ -16,8 +16,7 @@ from hpac_gym.deploy.observer import Pose
 from hpac_gym.model import HPAC, Hand, elastic_joints_from_servo
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import SceneSetup
-from hpac_gym.view.page import PICTURE_HZ, HandPage
-from hpac_gym.view.shown import Shown
+from hpac_gym.view.page import PICTURE_HZ, HandPage, Shown
 
 ABOUT = "The hand as its commands and the elastic model have it; the object as the camera sees it."
 

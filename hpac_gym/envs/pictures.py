@@ -71,7 +71,7 @@ class Pictures:
         """With "human", show world 0 on the page, in real time."""
         if self._mode != "human":
             return
-        from hpac_gym.view.shown import Shown
+        from hpac_gym.view.page import Shown
 
         episodes = self._episodes
         now = episodes.now

@@ -10,7 +10,6 @@ from hpac_gym.model import DIGITS, JOINT_INDEX
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import HAND_POSITION, SceneSetup
 from hpac_gym.view.meshes import Color, hand_meshes
-from hpac_gym.view.shown import GHOSTS
 
 STRONG = 20.0
 """Tension from which on a tendon has its strongest colour [N]."""
@@ -30,11 +29,22 @@ def add_mesh(
 class Links:
     """The links of the hand, or of a ghost that a prediction lays over it.
 
+    Args:
+        server: of the page.
+        setup: the scene.
+        ghost: name of the ghost, and its colour, RGB of 255.
+
     Attributes:
         palm: frame of the palm and of all links, which hides them if it is not visible.
     """
 
-    def __init__(self, server: viser.ViserServer, setup: SceneSetup, ghost: str) -> None:
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        setup: SceneSetup,
+        ghost: str = "",
+        color: tuple[int, int, int] | None = None,
+    ) -> None:
         geometry = setup.geometry
         self._joints = [JOINT_INDEX[phalanx.joint] for phalanx in geometry.phalanges]
         self._turn = Rotation.from_matrix(
@@ -56,10 +66,10 @@ class Links:
             )
             if not ghost:
                 self._add_tendon(server, path, phalanx)
-        look = {"color": GHOSTS[ghost][1], "opacity": 0.35} if ghost else {}
-        for index, (link, mesh, color) in enumerate(hand_meshes(geometry)):
+        look = {"color": color, "opacity": 0.35} if ghost else {}
+        for index, (link, mesh, own) in enumerate(hand_meshes(geometry)):
             if not (ghost and link == "palm"):
-                add_mesh(server, f"{paths[link]}/mesh_{index}", mesh, color, **look)
+                add_mesh(server, f"{paths[link]}/mesh_{index}", mesh, own, **look)
 
     def _add_tendon(self, server: viser.ViserServer, path: str, phalanx: Phalanx) -> None:
         """A tendon is drawn along the palmar side of a link."""

@@ -7,26 +7,85 @@ import time
 import webbrowser
 from collections.abc import Callable
 from contextlib import redirect_stdout
+from dataclasses import dataclass
 from threading import Event
+from typing import Self
 
 import numpy as np
 import viser
 from scipy.spatial.transform import Rotation
 
-from hpac_gym.model import DIGITS, HPAC, JOINT_INDEX, SERVOS
+from hpac_gym.model import (
+    DIGITS,
+    HPAC,
+    JOINT_INDEX,
+    SERVOS,
+    elastic_joints_from_servo,
+    rigid_joints_from_servo,
+)
 from hpac_gym.model.checks import Array
-from hpac_gym.physics.engine import HAND_POSITION, SceneSetup
+from hpac_gym.physics.engine import HAND_POSITION, SceneSetup, SceneState
 from hpac_gym.physics.supports import GREEN, GREY, TABLE_HALF_EXTENTS, WOOD, support_boxes
 from hpac_gym.view.links import Links, add_mesh
 from hpac_gym.view.meshes import moved, object_meshes, solid
-from hpac_gym.view.shown import GHOSTS, Shown
 
+GHOSTS = {
+    "rigid": ("rigid prediction", (230, 80, 160)),
+    "elastic": ("elastic prediction", (60, 190, 120)),
+    "goal": ("goal", (60, 130, 240)),
+}
+"""Postures that can be laid over the hand: label and colour."""
 PICTURE_HZ = 20
 """Pictures a second."""
 FREE = "Servos [rad]"
 DRIVEN = "Servos [rad], read-only"
 """Above the sliders, as they drive the hand or follow it."""
 _ROUND_RANGE = (np.ceil(100 * HPAC.servo_min) / 100, np.floor(100 * HPAC.servo_max) / 100)
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """What a picture shows."""
+
+    joint_pos: Array
+    """Joint angles, shape (15,) [rad]."""
+    servo: Array
+    """Commanded servo angles, of which the predictions are, shape (6,) [rad]."""
+    wrist: Array
+    """Offset of the wrist along the world's axes, shape (3,) [m]."""
+    tension: Array | None = None
+    """Tension of the driving tendons, shape (5,) [N]; None where nobody knows it."""
+    object_pos: Array | None = None
+    """Centre of the object in the hand's frame, shape (3,) [m]."""
+    object_rotation: Rotation | None = None
+    """From the object's axes to the hand's."""
+    text: str = ""
+    """A line below the figures."""
+    goal: Array | None = None
+    """Joint angles that are asked for, shape (15,) [rad]; None where none are."""
+
+    def ghost(self, name: str) -> Array | None:
+        """Joint angles of one of `GHOSTS`, shape (15,) [rad]; None without a goal."""
+        if name == "goal":
+            return self.goal
+        predicted = rigid_joints_from_servo if name == "rigid" else elastic_joints_from_servo
+        return predicted(np.clip(self.servo, HPAC.servo_min, HPAC.servo_max))
+
+    @classmethod
+    def of_state(
+        cls, state: SceneState, servo: Array, text: str = "", goal: Array | None = None
+    ) -> Self:
+        """The first world of a simulation, the servos' commands, shape (6,) [rad], and a goal."""
+        return cls(
+            state.joint_pos[0],
+            servo,
+            state.palm_offset[0],
+            state.tension[0],
+            state.object_pos[0],
+            Rotation.from_matrix(turn) if (turn := state.object_rotation[0]).any() else None,
+            text,
+            goal,
+        )
 
 
 class HandPage:
@@ -90,7 +149,10 @@ class HandPage:
         with self._server.atomic():
             self._scene.remove()
             self._scene = self._server.scene.add_frame("/scene", show_axes=False)
-            self._hands = {name: Links(self._server, setup, name) for name in ("", *GHOSTS)}
+            self._hand = Links(self._server, setup)
+            self._ghosts = {
+                name: Links(self._server, setup, name, rgb) for name, (_, rgb) in GHOSTS.items()
+            }
             self._again.visible = setup.object is not None and not self._driven
             self._object = None
             if setup.object is not None:
@@ -188,16 +250,15 @@ class HandPage:
         now = time.monotonic()
         self._due = now + 1 / PICTURE_HZ
         with self._server.atomic():
-            hand = self._hands[""]
-            hand.pose(shown.joint_pos, shown.wrist)
+            self._hand.pose(shown.joint_pos, shown.wrist)
             self._boxes["goal"].visible = shown.goal is not None
             for name, box in self._boxes.items():
                 posture = shown.ghost(name) if box.value else None
-                self._hands[name].palm.visible = posture is not None
+                self._ghosts[name].palm.visible = posture is not None
                 if posture is not None:
-                    self._hands[name].pose(posture, shown.wrist)
+                    self._ghosts[name].pose(posture, shown.wrist)
             if shown.tension is not None:
-                hand.pull(shown.tension)
+                self._hand.pull(shown.tension)
             if self._object is not None and shown.object_pos is not None:
                 place = HAND_POSITION + shown.wrist + self._hand_turn.apply(shown.object_pos)
                 self._object.position = tuple(place)

@@ -170,7 +170,7 @@ class Virtual:
 
     def _show(self, state: SceneState, pulses: Array) -> None:
         """Show the hand on the page, whose sliders drive it while no program does."""
-        from hpac_gym.view.shown import Shown
+        from hpac_gym.view.page import Shown
 
         if self.page.object_back.is_set():
             self.page.object_back.clear()

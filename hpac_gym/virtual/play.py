@@ -29,8 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Move the hand as the sliders say, until Ctrl-C."""
-    from hpac_gym.view.page import HandPage
-    from hpac_gym.view.shown import Shown
+    from hpac_gym.view.page import HandPage, Shown
 
     with suppress(KeyboardInterrupt), ExitStack() as stack:
         env = stack.enter_context(env_of(options)).unwrapped

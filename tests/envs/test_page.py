@@ -90,5 +90,5 @@ def test_a_vector_shows_its_first_environment_and_a_posture_its_goal(told, opene
     assert told[-1].object_rotation is None
     assert not [name for name in nodes(envs) if name.startswith("/scene/object")]
     page = envs.unwrapped.episodes.pictures.page
-    assert page._hands["goal"].palm.visible
-    assert not page._hands["elastic"].palm.visible
+    assert page._ghosts["goal"].palm.visible
+    assert not page._ghosts["elastic"].palm.visible

@@ -16,8 +16,7 @@ from hpac_gym.bridge import FaultError, HandLink
 from hpac_gym.model import ServoCommand
 from hpac_gym.physics.engine import SceneSetup
 from hpac_gym.view.meshes import hand_meshes, object_meshes, solid
-from hpac_gym.view.page import HandPage
-from hpac_gym.view.shown import Shown
+from hpac_gym.view.page import HandPage, Shown
 from tests.conftest import CHROMIUM
 from tests.processes import wait_for
 

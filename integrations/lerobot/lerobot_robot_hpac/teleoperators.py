@@ -217,7 +217,7 @@ class HpacSliders(HpacTeleoperator):
         self._commands = Commands()
 
     def _wanted(self) -> Array:
-        from hpac_gym.view.shown import Shown
+        from hpac_gym.view.page import Shown
 
         servo = self._page.wanted()
         if self._page.due():
