@@ -4,14 +4,12 @@
 
 A mutant deletes a statement, flips a comparison, shifts a constant or swaps two arguments; they are
 drawn at random from all that there are. Prints the share that a test noticed with its 95 % Wilson
-interval, and every survivor. `--record FILE` lets a run that was cut short go on: what was noticed
-is not tried again while its module stays as it is, a survivor is. Survivors that were looked at and
-change nothing stand in `EQUIVALENT`, with the reason, and are left out of the share."""
+interval, and every survivor. Survivors that were looked at and change nothing stand in
+`EQUIVALENT`, with the reason, and are left out of the share."""
 
 import argparse
 import ast
 import faulthandler
-import hashlib
 import os
 import random
 import re
@@ -277,18 +275,8 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--count", type=int, default=200, help="mutants (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=1, help="of the draw (default: %(default)s)")
-    parser.add_argument(
-        "--minutes",
-        type=float,
-        default=1e9,
-        help="stop after so long, with what has been tried until then",
-    )
     parser.add_argument("--part", choices=TESTS, default="conversation", help="which modules")
-    parser.add_argument("--record", type=Path, help="file of what was noticed before; grows")
     options = parser.parse_args()
-    before = (
-        options.record.read_text().split() if options.record and options.record.exists() else []
-    )
     paths = sorted(path for place in PLACES for path in (ROOT / place).rglob("*.py"))
     paths = [path for path in paths if path.name not in LEFT_OUT]
     paths = [path for path in paths if ("evidence" in path.parts) == (options.part == "evidence")]
@@ -299,12 +287,9 @@ def main() -> int:
     killed = 0
     equivalent = 0
     survivors = []
-    start = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="hpac_mutants_") as name:
         judge = Judge(Path(name), files)
         for path, kind, number in drawn:
-            if time.monotonic() - start > 60 * options.minutes:
-                break
             mutated, what = mutate(texts[path], kind, number)
             bridge = ROOT / PLACES[0]
             where = (
@@ -313,17 +298,9 @@ def main() -> int:
             if re.sub(r"line \d+: ", "", where) in EQUIVALENT:
                 equivalent += 1
                 continue
-            key = hashlib.sha256((path.name + mutated).encode()).hexdigest()[:20]
-            how = "before" if key in before else ""
-            if not how:
-                line = int(re.search(r"line (\d+)", what)[1])
-                how = judge.notices(
-                    judge.folder / path.relative_to(ROOT), line, texts[path], mutated
-                )
-                print(f"{'killed  ' if how else 'SURVIVED'} {where}  [{how}]", flush=True)
-                if how and options.record:
-                    with options.record.open("a") as record:
-                        record.write(key + "\n")
+            line = int(re.search(r"line (\d+)", what)[1])
+            how = judge.notices(judge.folder / path.relative_to(ROOT), line, texts[path], mutated)
+            print(f"{'killed  ' if how else 'SURVIVED'} {where}  [{how}]", flush=True)
             killed += bool(how)
             survivors += [] if how else [where]
     for where in survivors:

@@ -554,17 +554,6 @@ def test_a_latched_fault_without_pulses_is_left_for_the_next_session(virtual_han
 # -----------------------------------------------------------------------------------------------------------
 
 
-def test_a_closed_log_does_not_stand_between_the_program_and_the_hand(virtual_hand, tmp_path):
-    log = WireLog(tmp_path / "wire.jsonl")
-    log.close()
-    with pytest.warns(LogWarning, match="closed") as said:
-        with pytest.raises(ZeroDivisionError), HandLink(virtual_hand.connect, log=log) as link:
-            link.arm(Action.hold)
-            raise ZeroDivisionError
-    assert len(said) == 1
-    assert not virtual_hand.pulses().any()
-
-
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
 def test_a_log_that_is_not_on_the_disk_is_an_error_of_its_own_block(virtual_hand):
     with pytest.raises(OSError, match="space"), WireLog("/dev/full") as log:

@@ -5,7 +5,6 @@ model's.
 import dataclasses
 
 import numpy as np
-import pytest
 
 from hpac_gym.bridge import protocol
 from hpac_gym.bridge.hands import Config, config_of, load_library
@@ -49,15 +48,6 @@ def test_limits_hash_changes_with_any_limit(monkeypatch):
         hashes.add(limits_hash())
     assert len(hashes) == len(SERVOS)
     assert before not in hashes
-
-
-@pytest.mark.parametrize("message", protocol.MESSAGES.values(), ids=lambda m: m.name)
-def test_fields_follow_each_other_without_gaps(message):
-    offset = 0
-    for field in message.fields:
-        assert field.offset == offset
-        offset += field.size * field.count
-    assert offset == message.length
 
 
 def test_codes_tell_host_from_hand():

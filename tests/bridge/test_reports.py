@@ -20,7 +20,7 @@ from hpac_gym.bridge.frame import Frame, decode
 from hpac_gym.bridge.limits import ServoLimits
 from hpac_gym.bridge.protocol import Fault, Field, Message, Reason, State
 from hpac_gym.bridge.reports import HandInfo, HandStatus, KnownState
-from hpac_gym.bridge.transport import SerialTransport, _open_advice, open_transport
+from hpac_gym.bridge.transport import _open_advice, open_transport
 from hpac_gym.model import SERVOS
 from tools.wire_files import vectors
 
@@ -277,44 +277,17 @@ def test_a_port_that_does_not_open_says_what_to_do(error, advice):
     assert advice in _open_advice("X", error)
 
 
-def test_a_port_that_was_unplugged_says_so():
+def test_a_port_gives_all_that_lies_there_and_says_when_it_was_unplugged():
     ours, theirs = pty.openpty()
     transport = open_transport(os.ttyname(theirs))
+    os.write(ours, b"abc")
+    assert transport.read(5.0) == b"abc"
     os.close(theirs)
     os.close(ours)
     with pytest.raises(PortError, match=r"has gone: unplugged\?$"):
         transport.read(0.1)
     with pytest.raises(PortError, match=r"takes no bytes: unplugged\?$"):
         transport.write(b"x")
-
-
-class FakePort:
-    """A serial port at which some bytes lie."""
-
-    timeout = 0.0
-
-    def __init__(self, lies):
-        self.lies = lies
-        self.waits = []
-
-    def read(self, size):
-        self.waits.append(self.timeout)
-        taken = self.lies[:size]
-        self.lies = self.lies[size:]
-        return taken
-
-    @property
-    def in_waiting(self):
-        return len(self.lies)
-
-
-@pytest.mark.parametrize("lies", [b"", b"a", b"abc"])
-def test_a_serial_read_waits_for_the_first_byte_and_takes_all_that_lies_there(monkeypatch, lies):
-    transport = object.__new__(SerialTransport)
-    transport._serial = FakePort(lies)
-    assert transport.read(0.5) == lies
-    assert transport._serial.waits[0] == 0.5
-    assert transport._serial.lies == b""
 
 
 # --- values
