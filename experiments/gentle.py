@@ -20,13 +20,14 @@ import numpy as np
 import hpac_gym  # noqa: F401  registers the environments
 from agents.gentle import Hands
 from agents.gentle_rule import CLOSING, MOVES, PER_RADIAN, RULE, STEPS, UNTOLD
+from experiments.results import write_results
 from hpac_gym.command import command_parser, run, whole_number
 from hpac_gym.evaluation.episodes import run_episodes, worlds
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import success_counts
 from hpac_gym.model import synergy_from_action
 from hpac_gym.model.checks import Array
-from hpac_gym.output import OutputError, writable_folder, write_text
+from hpac_gym.output import OutputError, writable_folder
 from hpac_gym.physics.settings import BODIES
 from hpac_gym.physics.simulation import SET_UPS
 from hpac_gym.policies.closure import Closures
@@ -103,9 +104,7 @@ class Feeling:
             self._felt = np.where(begins, felt, self._felt + 0.5 * (felt - self._felt))
             felt = self._felt
         force = np.maximum(felt, 0.0)[:, None] * [0.0, 1.0, *RULE.shares]
-        limit = np.full(len(age), UNTOLD)
-        if env.told:
-            limit = LIMIT_UNIT * fields["crush_limit"][:, 0]
+        limit = LIMIT_UNIT * fields["crush_limit"][:, 0] if env.told else np.full(len(age), UNTOLD)
         synergy = synergy_from_action(env.recent.action)
         moved = RULE.increments(synergy, age, force, limit, self._far, slip)
         return MOVES.decisions(moved * PER_RADIAN)
@@ -208,8 +207,9 @@ def rows(episodes: int, body: str, told: bool) -> dict[str, Any]:
     }
     judged = {}
     for name, act in policies.items():
-        seeds = range(HELD_OUT_SEED, HELD_OUT_SEED + episodes, WORLDS)
-        parts = [episodes_of(env, act, seed) for seed in seeds]
+        parts = [
+            episodes_of(env, act, HELD_OUT_SEED + first) for first in range(0, episodes, WORLDS)
+        ]
         judged[name] = summary(
             {key: np.concatenate([one[key] for one in parts]) for key in parts[0]}
         )
@@ -250,8 +250,8 @@ def judge(name: str, first_seed: int, episodes: int, **options: Any) -> dict[str
     return {"policy": name, "options": given} | cells
 
 
-def _write(file: Path, command: str, found: dict[str, Any]) -> None:
-    write_text(file, json.dumps({"command": command} | found, indent=1) + "\n")
+def _write(file: Path, words: str, found: dict[str, Any]) -> None:
+    write_results(file, words, **found)
     print(json.dumps(found), flush=True)
 
 
@@ -273,8 +273,7 @@ def main(argv: list[str] | None = None) -> int:
     if (arguments.what == "judge") != bool(arguments.policies):
         parser.error("judge, and it alone, takes policies")
     out = writable_folder(arguments.out)
-    words = shlex.join(sys.argv[1:] if argv is None else argv)
-    command = f"python -m experiments.gentle {words}"
+    words = f"gentle {shlex.join(sys.argv[1:] if argv is None else argv)}"
     engine, body = arguments.set_up.split("/")
     told = not arguments.untold
     where = f"{engine}_{body}{'' if told else '_untold'}"
@@ -282,19 +281,19 @@ def main(argv: list[str] | None = None) -> int:
         parts = {file.stem: json.loads(file.read_text()) for file in sorted(out.glob("*.json"))}
         if not parts:
             raise OutputError(f"nothing to join: no results in '{out}'")
-        _write(RESULTS, command, parts)
+        _write(RESULTS, words, parts)
     elif arguments.what == "rows":
-        _write(out / f"rows_{where}.json", command, rows(arguments.episodes, body, told))
+        _write(out / f"rows_{where}.json", words, rows(arguments.episodes, body, told))
     elif arguments.what == "closures":
         found = closures(arguments.closures, arguments.episodes)
-        _write(out / "closures.json", command, found)
+        _write(out / "closures.json", words, found)
     else:
         for name in arguments.policies:
             options = {"engine": engine, "body": body, "told": told}
             found = judge(name, arguments.seed_start, arguments.episodes, **options)
             file = policy_path(name)
             label = file.parent.name if file.stem == "policy" else file.stem
-            _write(out / f"{label}_{where}.json", command, found)
+            _write(out / f"{label}_{where}.json", words, found)
     return 0
 
 

@@ -75,20 +75,24 @@ class Body:
         self._sim.reset(np.zeros(len(SERVOS)))
         self._time_us: int | None = None
         self._resting = True
+        rest = np.zeros(len(JOINTS))
+        rest[JOINT_INDEX["thumb_cmc"]] = rest_pose(servo)[SERVO_INDEX["thumb_cmc"]]
+        self._still = _links(servo, rest)
+        _, rotation, phalanx = self._still[servo]
         side = -1.0 if servo.startswith(("ring", "pinky")) else 1.0
-        rng = self._rng
-        self._frames = []
-        for name in CHAINS[servo]:
-            turn = Rotation.from_rotvec(rng.normal(0.0, GLUED, 3)).as_matrix()
-            self._frames.append((name, turn))
-        self._side = side
-        _, axes = self._places(rest_angles(servo))[0]
-        middles = [middle for middle, _ in self._places(rest_angles(servo))]
-        self._out = self._axis(rest_angles(servo))
-        lean = Rotation.from_rotvec(np.radians(rng.uniform(-12.0, 12.0, 3))).as_matrix()
-        direction = lean @ self._out
-        target = np.mean(middles, axis=0)
-        self._camera = Pinhole(target + STRIP_DISTANCE * direction, target, axes[1])
+        out = side * rotation @ phalanx.axis  # of the swept joint, towards the camera
+        top = np.array([0.0, 0.0, 1.0]) - out[2] * out
+        top /= np.linalg.norm(top)
+        square = np.stack([np.cross(top, out), top, out], axis=1)
+        self._glued = [
+            square @ Rotation.from_rotvec(self._rng.normal(0.0, GLUED, 3)).as_matrix()
+            for _ in CHAINS[servo]
+        ]
+        places = self._places(rest)
+        lean = Rotation.from_rotvec(np.radians(self._rng.uniform(-12.0, 12.0, 3))).as_matrix()
+        target = np.mean([middle for middle, *_ in places], axis=0)
+        *_, upward = places[0]
+        self._camera = Pinhole(target + STRIP_DISTANCE * (lean @ out), target, upward)
 
     def on_pulses(self, now_us: int, pulses: np.ndarray) -> None:
         """Advance the simulated hand to the firmware's time."""
@@ -121,55 +125,35 @@ class Body:
         """What the camera sees of a hand with some joint angles, shape (15,) [rad]."""
         tags = STRIPS[self._servo]
         pieces = []
-        for place, (middle, (right, top)) in enumerate(self._places(angles)):
+        for place, where in enumerate(self._places(angles)):
             tag = tags[self.exchanged.get(place, place)]
-            pieces.append((Piece(tag.centre, CARD_MM, CARD_MM), middle, right, top))
+            pieces.append((Piece(tag.centre, CARD_MM, CARD_MM), *where))
         return self._camera.picture(pieces, self._rng)
 
-    def _axis(self, angles: Array) -> Array:
-        """Axis of the swept joint in the hand's frame, towards the camera, shape (3,)."""
-        _, rotation, phalanx = _links(self._servo.partition("_")[0], angles)[self._servo]
-        return self._side * rotation @ phalanx.axis
-
-    def _places(self, angles: Array) -> list[tuple[Array, tuple[Array, Array]]]:
-        """Middle of each tag (3,) [m], and the directions of its print's right and top."""
-        digit = self._servo.partition("_")[0]
-        links = _links(digit, angles)
-        out = self._axis(rest_angles(self._servo))
-        still = _links(digit, rest_angles(self._servo))
+    def _places(self, angles: Array) -> list[tuple[Array, Array, Array]]:
+        """Middle of each tag [m], and the directions of its print's right and top, of shape (3,)."""
+        links = _links(self._servo, angles)
         places = []
-        for name, glued in self._frames:
+        for name, glued in zip(CHAINS[self._servo], self._glued, strict=True):
             link = "thumb_cmc" if name == "metacarpal" else name
             if link in links:
                 position, rotation, phalanx = links[link]
-                since = rotation @ still[link][1].T
+                glued = rotation @ self._still[link][1].T @ glued
                 middle = position + rotation @ np.array(
                     [-(phalanx.capsule.radius + STAND_OFF), 0.0, phalanx.length / 2]
                 )
             else:
-                since = np.eye(3)
                 middle = PALM[self._servo]
-            top = np.array([0.0, 0.0, 1.0]) - out[2] * out
-            top /= np.linalg.norm(top)
-            square = np.stack([np.cross(top, out), top, out], axis=1) @ glued
-            turned = since @ square
-            places.append((middle, (turned[:, 0], turned[:, 1])))
+            places.append((middle, glued[:, 0], glued[:, 1]))
         return places
 
 
-def _links(digit: str, angles: Array) -> dict[str, tuple[Array, Array, Phalanx]]:
-    """Position, rotation and phalanx of a digit's links by joint."""
-    phalanges = load_geometry().digit(digit).phalanges
-    own = np.array([angles[JOINT_INDEX[phalanx.joint]] for phalanx in phalanges])
-    poses = link_poses(load_geometry().digit(digit), own)
-    return {phalanx.joint: (*pose, phalanx) for phalanx, pose in zip(phalanges, poses, strict=True)}
-
-
-def rest_angles(servo: str) -> Array:
-    """Joint angles at rest of a sweep, shape (15,) [rad]."""
-    angles = np.zeros(len(JOINTS))
-    angles[JOINT_INDEX["thumb_cmc"]] = rest_pose(servo)[SERVO_INDEX["thumb_cmc"]]
-    return angles
+def _links(servo: str, angles: Array) -> dict[str, tuple[Array, Array, Phalanx]]:
+    """Position, rotation and phalanx of the links of a servo's digit by joint."""
+    digit = load_geometry().digit(servo.partition("_")[0])
+    own = np.array([angles[JOINT_INDEX[phalanx.joint]] for phalanx in digit.phalanges])
+    poses = zip(digit.phalanges, link_poses(digit, own), strict=True)
+    return {phalanx.joint: (*pose, phalanx) for phalanx, pose in poses}
 
 
 def watched_sweep(

@@ -54,23 +54,17 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument(
         "--out", type=Path, default=Path("runs/study"), metavar="DIR", help="folder of the results"
     )
-    parser.add_argument(
-        "--json", action="store_true", help="print one JSON object instead of the report"
-    )
     arguments = parser.parse_args(argv)
-    results = {}
     for name in arguments.parts or PARTS:
         part = PARTS[name](arguments)
         for stem, figure in part.figures.items():
             save(figure, arguments.out / f"{stem}.png", part.caption)
         write_text(arguments.out / f"{name}.md", part.text)
-        results[name] = part.data
         write_text(
             arguments.out / f"{name}.json", json.dumps(part.data, indent=2, default=asdict) + "\n"
         )
-        if not arguments.json:
-            print(part.text)
-    print(json.dumps(results, default=asdict) if arguments.json else f"written to {arguments.out}")
+        print(part.text)
+    print(f"written to {arguments.out}")
     return 0
 
 
