@@ -14,7 +14,6 @@ import numpy as np
 
 from hpac_gym.deploy.commands import object_of
 from hpac_gym.deploy.errors import PoseError
-from hpac_gym.deploy.observer import Pose
 from hpac_gym.deploy.poses import Source, source_of
 from hpac_gym.errors import HpacError
 from hpac_gym.model import HPAC, JOINTS, SERVOS, Hand, action_from_synergy, synergy_from_servo
@@ -107,8 +106,3 @@ def shared_source(text: str, seen: str | None) -> Iterator[Source]:
         objects.remove(seen)
         if not objects:
             _sources.pop(text).close()
-
-
-def numbers_of(pose: Pose) -> dict[str, float]:
-    """An object's pose by the names in `POSE`."""
-    return named(POSE, [*pose.position, *pose.quaternion])

@@ -33,7 +33,6 @@ from lerobot_robot_hpac.features import (
     Commands,
     clipped,
     named,
-    numbers_of,
     shared_source,
 )
 
@@ -84,6 +83,8 @@ class Hpac(Robot):
     """The six actions."""
     is_calibrated = True
     """`hpac calibrate` calibrates a hand, and its file is the setting `hand`."""
+    is_connected = False
+    """Whether the port is open."""
 
     def __init__(self, config: HpacConfig) -> None:
         super().__init__(config)
@@ -95,7 +96,7 @@ class Hpac(Robot):
         self.cameras = make_cameras_from_configs(config.cameras)
         self._hand = load_hand(config.hand) if config.hand else HPAC
         self._commands = Commands(self._hand)
-        self._stack: ExitStack | None = None
+        self._stack = ExitStack()
         # Of the link and all that follows: the caller's thread and the keeper's take turns.
         self._lock = RLock()
         self._stream: Stream | None = None
@@ -108,11 +109,6 @@ class Hpac(Robot):
         numbers = (*ACTIONS, *PREDICTED, *(POSE if self.config.pose else ()))
         pictures = {name: (cam.height, cam.width, 3) for name, cam in self.cameras.items()}
         return dict.fromkeys(numbers, float) | pictures
-
-    @property
-    def is_connected(self) -> bool:
-        """Whether the port is open."""
-        return self._stack is not None
 
     def calibrate(self) -> None:
         """Nothing to do."""
@@ -144,6 +140,7 @@ class Hpac(Robot):
             self._keeper = Thread(target=self._keep, daemon=True)
             self._keeper.start()
             self._stack = stack.pop_all()
+        self.is_connected = True
         if self.config.start:
             self.send_action(named(ACTIONS, self.config.start))
 
@@ -168,7 +165,7 @@ class Hpac(Robot):
         if self.config.pose:
             # An arm and fingers that hide the object leave the last pose.
             pose, _ = self._source.latest()
-            seen |= numbers_of(pose)
+            seen |= named(POSE, [*pose.position, *pose.quaternion])
         return seen | {name: camera.read_latest() for name, camera in self.cameras.items()}
 
     @check_if_not_connected
@@ -196,13 +193,12 @@ class Hpac(Robot):
 
     def disconnect(self) -> None:
         """Open the hand slowly, disarm it and release the port, whatever state it is in."""
-        if self._stack is None:
+        if not self.is_connected:
             return
         self._over.set()
         self._keeper.join()
-        stack = self._stack
-        self._stack = None
-        with stack:
+        self.is_connected = False
+        with self._stack:
             if self._armed:
                 with suppress(BridgeError):  # the link's end tells what is not confirmed
                     self._relax()

@@ -49,17 +49,14 @@ class HpacTeleoperator(Teleoperator):
     """None: nothing pushes back."""
     is_calibrated = True
     """There is nothing to calibrate."""
+    is_connected = False
+    """Whether `connect` was called."""
 
     def __init__(self, config: TeleoperatorConfig) -> None:
         super().__init__(config)
         check_bounds(config, "teleop")
         self.config = config
-        self._stack: ExitStack | None = None
-
-    @property
-    def is_connected(self) -> bool:
-        """Whether `connect` was called."""
-        return self._stack is not None
+        self._stack = ExitStack()
 
     def calibrate(self) -> None:
         """Nothing to do."""
@@ -76,6 +73,7 @@ class HpacTeleoperator(Teleoperator):
         with ExitStack() as stack:
             self._open(stack)
             self._stack = stack.pop_all()
+        self.is_connected = True
 
     @check_if_not_connected
     def get_action(self) -> RobotAction:
@@ -88,9 +86,8 @@ class HpacTeleoperator(Teleoperator):
 
     def disconnect(self) -> None:
         """Close what `connect` opened."""
-        if self._stack is not None:
-            stack, self._stack = self._stack, None
-            stack.close()
+        self.is_connected = False
+        self._stack.close()
 
 
 # A policy ---------------------------------------------------------------------------------
@@ -125,9 +122,7 @@ class HpacPolicyConfig(TeleoperatorConfig):
 class _Began(logging.Handler):
     """Hears that LeRobot begins to record an episode: it tells nobody but its log."""
 
-    def __init__(self) -> None:
-        super().__init__()
-        self.heard = True
+    heard = True
 
     def emit(self, record: logging.LogRecord) -> None:
         self.heard |= record.getMessage().startswith("Recording episode")
@@ -247,13 +242,15 @@ class HpacKeyboard(HpacTeleoperator):
 
     config_class = HpacKeyboardConfig
     name = "hpac_keyboard"
-    keys = "asdfgh"
+    keys: ClassVar[dict[str, Array]] = {
+        **dict(zip("asdfgh", np.eye(len(SERVOS)), strict=True)),
+        "w": np.array([1.0, 1.0, 1.0, 1.0, 1.0, 0.0]),
+    }
+    """What each key moves."""
 
     def _open(self, stack: ExitStack) -> None:
-        self._at = OPEN.copy()
-        text = (
-            f"{self.keys}: close {', '.join(SERVOS)}; w: all digits; Shift: open; space: open all"
-        )
+        self._at = OPEN
+        text = f"asdfgh: close {', '.join(SERVOS)}; w: all digits; Shift: open; space: open all"
         listener = create_key_listener(self.press, controls_help=text)
         if listener is None:
             raise HpacError("no keys: neither a terminal nor an X11 display; use hpac_sliders")
@@ -261,14 +258,11 @@ class HpacKeyboard(HpacTeleoperator):
 
     def press(self, key: str) -> None:
         """A key was pressed."""
-        step = self.config.step if key.islower() else -self.config.step
         if key == "space":
-            self._at = OPEN.copy()
-        elif key in ("w", "W"):
-            self._at = np.clip(self._at + step * (np.arange(len(SERVOS)) < 5), -1.0, 1.0)
-        elif len(key) == 1 and key.lower() in self.keys:
-            here = np.arange(len(SERVOS)) == self.keys.index(key.lower())
-            self._at = np.clip(self._at + step * here, -1.0, 1.0)
+            self._at = OPEN
+        elif key.lower() in self.keys:
+            step = self.config.step if key.islower() else -self.config.step
+            self._at = np.clip(self._at + step * self.keys[key.lower()], -1.0, 1.0)
 
     def _wanted(self) -> Array:
         return self._at

@@ -26,7 +26,6 @@ from hpac_gym.model import (
     DIGITS,
     HPAC,
     JOINT_INDEX,
-    SERVOS,
     action_from_synergy,
     elastic_joints_from_servo,
     load_hand,
@@ -258,7 +257,3 @@ def test_robot_and_teleoperator_share_a_camera_and_the_object_before_it(
         for one in both:
             one.disconnect()
     assert tops == (height if first == "robot" else [0.05])
-
-
-def test_names_of_actions_are_those_of_the_servos():
-    assert [name.removesuffix(".pos") for name in ACTIONS] == list(SERVOS)
