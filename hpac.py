@@ -44,7 +44,7 @@ COMMANDS = (
         "look",
         "play",
         "move a simulated hand by six sliders, in the browser",
-        "hpac_gym.virtual.play:add_arguments",
+        "hpac_gym.virtual.commands:add_play",
     ),
     Command(
         "look",

@@ -1,4 +1,5 @@
 """``hpac virtual``: a hand for those who have none, behind a port like that of a real one.
+``hpac play``: six sliders move a simulated hand in the browser; without port, firmware or policy.
 
 The real firmware runs in a process of its own behind a pseudo-terminal. Its pulses drive a simulated
 body with an object; an arm does what `hpac deploy --arm` tells it; a camera sends poses."""
@@ -6,22 +7,29 @@ body with an object; an arm does what `hpac deploy --arm` tells it; a camera sen
 import argparse
 import signal
 import sys
-from contextlib import ExitStack, closing
+import time
+from contextlib import ExitStack, closing, suppress
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from hpac_gym.bridge import HostBoard
+from hpac_gym.bridge import HostBoard, pulses_from_servo
 from hpac_gym.command import add_json, say, seconds, whole_number
 from hpac_gym.errors import ParameterError
 from hpac_gym.physics.engine import SceneSetup
 from hpac_gym.virtual.body import Body
-from hpac_gym.virtual.hand import Tracker, Virtual
+from hpac_gym.virtual.hand import POSE_HZ, Tracker, Virtual
 from hpac_gym.virtual.scene import POLICIES, add_scene, env_of, revealed, scene
 from hpac_gym.virtual.wire import Faults, Relay
 
 ABOUT = "A virtual hand: the real firmware, whose pulses drive a simulated body."
+ABOUT_PLAY = (
+    "A simulated hand. Each slider is a servo; the other joints follow by their tendons. "
+    "Close it on the object, and lift."
+)
+OPPOSED = 1.2
+"""Angle of the thumb's CMC at the start of `hpac play`, at which it opposes the fingers [rad]."""
 OUT_OF_REACH = np.array([0.35, 0.0, 0.12])
 """Place of the object while the hand is swept, in the hand's frame [m]."""
 
@@ -126,3 +134,41 @@ def _greeting(options: argparse.Namespace, hand: Virtual, setup: SceneSetup) -> 
     if options.reveal:
         lines.append(revealed(options.seed, setup))
     return "\n".join(lines)
+
+
+def add_play(parser: argparse.ArgumentParser) -> None:
+    """The arguments of `hpac play`."""
+    add_scene(parser)
+    parser.add_argument("--no-browser", action="store_true", help="print the page's address only")
+    add_json(parser)
+    parser.set_defaults(run=play)
+
+
+def play(options: argparse.Namespace) -> int:
+    """Move the hand as the sliders say, until Ctrl-C."""
+    from hpac_gym.view.page import HandPage, Shown
+
+    with suppress(KeyboardInterrupt), ExitStack() as stack:
+        env = stack.enter_context(env_of(options)).unwrapped
+        body = Body(env, options.seed or 0, scene(env, options.env, options.seed))
+        page = HandPage(body.setup, ABOUT_PLAY, browser=not options.no_browser)
+        stack.enter_context(closing(page))
+        if options.json:
+            say(True, "", page=page.address)
+        page.lift.visible = True
+        page.sliders[-1].value = OPPOSED
+        began = time.monotonic()
+        while True:
+            now = time.monotonic() - began
+            servo = page.wanted()
+            body.tell({"time": now, "offset": [0.0, 0.0, page.lifted()]})
+            body.follow(round(1e6 * now), pulses_from_servo(servo))
+            state = body.state()
+            body.tidy_up(state)
+            if page.object_back.is_set():
+                page.object_back.clear()
+                body.place(body.setup, state.horn[0])
+            if page.due():
+                page.show(Shown.of_state(state, servo))
+            time.sleep(1 / POSE_HZ)
+    return 0
