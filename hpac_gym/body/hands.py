@@ -91,12 +91,12 @@ def hand_set(name: str) -> tuple[HandVariant, ...]:
     """
     if name not in SIZES:
         raise ParameterError(f"hand set {name!r} is not one of {', '.join(SIZES)}")
-    first = 0 if name == "train" else SIZES["train"]
-    streams = (np.random.default_rng([SEED, first + index]) for index in range(SIZES[name]))
-    return tuple(_variant(f"{name}_{index:02}", index, rng) for index, rng in enumerate(streams))
+    return tuple(_variant(name, index) for index in range(SIZES[name]))
 
 
-def _variant(name: str, index: int, rng: np.random.Generator) -> HandVariant:
+def _variant(split: str, index: int) -> HandVariant:
+    name = f"{split}_{index:02}"
+    rng = np.random.default_rng([SEED, index + (SIZES["train"] if split == "test" else 0)])
     size = rng.uniform(*RANGES["hand"])
     digits = {}
     bodies = []

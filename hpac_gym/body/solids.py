@@ -95,20 +95,18 @@ class Solid:
         if self.hull is not None:
             corners = self.center + self.hull.vertices @ self.rotation.T
             return corners.min(axis=0), corners.max(axis=0)
-        reach = self._reach()
-        return self.center - reach, self.center + reach
-
-    def _reach(self) -> Array:
-        """Half-extents of a primitive's bounding box along the object's axes, shape (3,) [m]."""
         half = np.array(self.size) / 2
-        if self.kind == "box":
-            return np.abs(self.rotation) @ half
-        if self.kind == "sphere":
-            return half
         along = np.abs(self.rotation[:, 2])
-        if self.kind == "capsule":
-            return (half[2] - half[0]) * along + half[0]
-        return half[2] * along + half[0] * np.sqrt(np.maximum(1 - along**2, 0.0))
+        match self.kind:
+            case "box":
+                reach = np.abs(self.rotation) @ half
+            case "sphere":
+                reach = half
+            case "capsule":
+                reach = (half[2] - half[0]) * along + half[0]
+            case _:
+                reach = half[2] * along + half[0] * np.sqrt(np.maximum(1 - along**2, 0.0))
+        return self.center - reach, self.center + reach
 
 
 def bounds_of(solids: Iterable[Solid]) -> tuple[Array, Array]:

@@ -40,11 +40,10 @@ def mass_matrix(
         synergy: posture, on the hand's manifold, shape (6,) [rad].
         hand: the model's parameters.
     """
-    angles = joints_from_synergy(synergy, hand)
     matrix = np.zeros((len(JOINTS), len(JOINTS)))
     for digit in geometry.digits:
         index = [JOINT_INDEX[phalanx.joint] for phalanx in digit.phalanges]
-        poses = link_poses(digit, angles[index])
+        poses = link_poses(digit, joints_from_synergy(synergy, hand)[index])
         axes = [
             rotation @ phalanx.axis
             for phalanx, (_, rotation) in zip(digit.phalanges, poses, strict=True)
@@ -107,7 +106,6 @@ class Mechanics:
             geometry: the hand's body.
         """
         digits = list(hand.digits.values())
-        damping = settings.damping
         (coupling, coupling_stiffness) = coupling_rows(hand)
         (spring, spring_stiffness) = spring_rows(hand)
         hub_mass = settings.hub_inertia / hand.servo_radius**2
@@ -115,7 +113,7 @@ class Mechanics:
         inertia = inertia.copy()
         inertia[ROOTS, ROOTS] += hub_mass * drive_arms(hand) ** 2
         inertia[-1, -1] += settings.hub_inertia / hand.cmc_gain**2  # the last joint is the CMC
-        viscosity, _ = viscosities(hand, inertia, damping.ratio)
+        viscosity, _ = viscosities(hand, inertia, settings.damping.ratio)
         coupling_damping, drive_damping = np.split(viscosity[:-1], [len(coupling)])
         length = hand.rest_chord + np.broadcast_to(settings.slack, len(digits))
         tension = np.array([digit.tension_limit for digit in digits]) * settings.strength

@@ -260,7 +260,6 @@ def fixed_tendons() -> list[str]:
 
 
 def _add_actuators(actuator: Xml.Element, mechanics: Mechanics, hand: Hand, on_wrist: bool) -> None:
-    affine = {"gaintype": "fixed", "biastype": "affine"}
     for i, servo in enumerate(SERVOS):
         moved, digits = (
             ({"joint": servo}, 9)
@@ -270,7 +269,7 @@ def _add_actuators(actuator: Xml.Element, mechanics: Mechanics, hand: Hand, on_w
         Xml.SubElement(
             actuator,
             "general",
-            affine,
+            {"gaintype": "fixed", "biastype": "affine"},
             name=servo,
             **moved,
             gainprm=text_of((mechanics.gain[i],)),

@@ -43,16 +43,13 @@ def coupling_rows(hand: Hand) -> tuple[Array, Array]:
     Returns:
         Rows J with stretch = J q, shape (9, 15) [m/rad], and stiffnesses, shape (9,) [N/m].
     """
-    rows = []
-    stiffnesses = []
-    for digit in hand.digits.values():
-        for segment, stiffness in enumerate(digit.segment_stiffness):
-            row = np.zeros(len(JOINTS))
-            row[JOINT_INDEX[digit.joints[segment]]] = digit.joint_radius[segment]
-            row[JOINT_INDEX[digit.joints[segment + 1]]] = -digit.joint_radius[segment + 1]
-            rows.append(row)
-            stiffnesses.append(stiffness)
-    return np.array(rows), np.array(stiffnesses)
+    digits = hand.digits.values()
+    segments = [(digit, index) for digit in digits for index in range(len(digit.joints) - 1)]
+    rows = np.zeros((len(segments), len(JOINTS)))
+    for row, (digit, index) in zip(rows, segments, strict=True):
+        row[JOINT_INDEX[digit.joints[index]]] = digit.joint_radius[index]
+        row[JOINT_INDEX[digit.joints[index + 1]]] = -digit.joint_radius[index + 1]
+    return rows, np.concatenate([digit.segment_stiffness for digit in digits])
 
 
 def spring_rows(hand: Hand) -> tuple[Array, Array]:

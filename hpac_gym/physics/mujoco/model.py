@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache, lru_cache
 from xml.etree import ElementTree as Xml
 
@@ -98,7 +98,7 @@ def build(
         visuals: include visual-only geoms.
         geometry: geometry of the hand, which is not a placeholder.
     """
-    hand = replace(HandSettings(), armature=layout.armature)
+    hand = HandSettings(armature=layout.armature)
     root = Xml.fromstring(hand_mjcf(geometry, hand, on_wrist=layout.object is not None))
     option = root.find("option")
     world = root.find("worldbody")
@@ -113,7 +113,20 @@ def build(
         for body in list(world.iter("body")):
             for geom in [geom for geom in body.findall("geom") if geom.get("class") == "drawn"]:
                 body.remove(geom)
-    _add_brakes(actuators)
+    # The damping that a slack drive keeps (`Damping.overrun`) opposes flexion that is faster than the
+    # servo's, of a taut drive too, in addition to its own damping.
+    for drive in actuators.findall("general")[: len(DIGITS)]:
+        Xml.SubElement(
+            actuators,
+            "general",
+            name=f"{drive.get('name')}_brake",
+            tendon=drive.get("tendon"),
+            gaintype="fixed",
+            biastype="affine",
+            gainprm="0",
+            biasprm="0 0 0",
+            forcerange="0 1000",
+        )
     wrist = {"kp": repr(WRIST_STIFFNESS), "dampratio": "0", "forcelimited": "false"}
     if effort := settings.wrist_effort:
         wrist = {"kp": repr(LIMITED_WRIST_STIFFNESS), "forcerange": exact_text((-effort, effort))}
@@ -130,24 +143,6 @@ def build(
     if settings.torsion is not None:
         model.geom_friction[:, 1] = settings.torsion
     return model
-
-
-def _add_brakes(actuators: Xml.Element) -> None:
-    """Add the damping that a slack drive keeps (`Damping.overrun`): it opposes flexion that is
-    faster than the servo's, of a taut drive too, in addition to its own damping.
-    """
-    for drive in actuators.findall("general")[: len(DIGITS)]:
-        Xml.SubElement(
-            actuators,
-            "general",
-            name=f"{drive.get('name')}_brake",
-            tendon=drive.get("tendon"),
-            gaintype="fixed",
-            biastype="affine",
-            gainprm="0",
-            biasprm="0 0 0",
-            forcerange="0 1000",
-        )
 
 
 def _add_object(root: Xml.Element, world: Xml.Element, layout: Layout) -> None:
