@@ -145,23 +145,19 @@ class _Problem:
 
     def misfit(self, unknowns: Array) -> Array:
         """Measured minus predicted angles of the measured points [rad]."""
-        count = len(self.prior.centre)
-        swept = digit_with(self.base, self.prior.values(unknowns[:count]))
-        drift = self.samples.line @ unknowns[count:].reshape(2, -1)
-        missed = self.samples.joint_pos - predicted(self.samples, swept) - drift
-        of_seen: Array = missed[self.seen]
-        return of_seen
+        numbers, drift = np.split(unknowns, [len(self.prior.centre)])
+        angles = predicted(self.samples, digit_with(self.base, self.prior.values(numbers)))
+        missed = self.samples.joint_pos - angles - self.samples.line @ drift.reshape(2, -1)
+        return np.asarray(missed[self.seen])
 
     def rows(self, unknowns: Array, scale: float) -> Array:
         """Misfit and prior, each divided by its standard deviation."""
-        count = len(self.prior.centre)
-        prior = (unknowns[:count] - self.prior.centre) / self.prior.sigma
-        drift = unknowns[count:].reshape(2, -1) / np.nanmax(self.samples.noise)
+        numbers, drift = np.split(unknowns, [len(self.prior.centre)])
         return np.concatenate(
             [
                 self.misfit(unknowns) / (scale * self.samples.deviation[self.seen]),
-                prior,
-                drift.ravel(),
+                (numbers - self.prior.centre) / self.prior.sigma,
+                drift / np.nanmax(self.samples.noise),
             ]
         )
 

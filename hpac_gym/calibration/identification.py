@@ -130,9 +130,10 @@ def _check_radii(fit: DigitFit, prior: Prior) -> None:
             item.name.endswith(("_strain", "_ratio"))
             and abs(np.log(item.value) - centre) > _CONTRADICTION * sigma
         ):
-            factor = item.value / np.exp(centre)
-            message = f"the record contradicts --radii-known: {item.formula} would be {factor:.2f} times the design's"
-            raise IdentificationError(message)
+            raise IdentificationError(
+                f"the record contradicts --radii-known: {item.formula} would be "
+                f"{item.value / np.exp(centre):.2f} times the design's"
+            )
 
 
 def _enough(record: Sweep, servo: int, base: Hand, least_points: int) -> DigitSamples:

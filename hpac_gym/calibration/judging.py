@@ -80,6 +80,8 @@ def judged(sweep: Sweep, base: Hand, name: str = "the record") -> list[str]:
         rest = np.flatnonzero(segment.phase == REST)
         travel = np.ptp(segment.servo[flexed], axis=0)
         moved = int(travel.argmax())
+        numbers = segment.point[flexed]
+        points = [segment.servo[flexed[numbers == number], swept] for number in np.unique(numbers)]
         if rest.size < LEAST_REST:
             faults.append(
                 f"{where}: {rest.size} samples are marked 'rest', at least {LEAST_REST} are needed to take out offset and drift"
@@ -91,12 +93,12 @@ def judged(sweep: Sweep, base: Hand, name: str = "the record") -> list[str]:
                 else ""
             )
             faults.append(f"{where}: servo {SERVOS[swept]} moves {travel[swept]:.2f} rad{instead}")
-        elif len(np.unique(segment.point[flexed])) < 3:
+        elif len(points) < 3:
             faults.append(
-                f"{where}: column point numbers {len(np.unique(segment.point[flexed]))} points while servo {SERVOS[swept]} moves "
+                f"{where}: column point numbers {len(points)} points while servo {SERVOS[swept]} moves "
                 f"{travel[swept]:.2f} rad; each place where it stands needs a number of its own, at least 3"
             )
-        elif (moves := _most_motion(segment, flexed, swept)) > STILL:
+        elif (moves := max(np.ptp(angles) for angles in points)) > STILL:
             faults.append(
                 f"{where}: servo {SERVOS[swept]} moves by up to {np.degrees(moves):.1f}° within a sampling point, at most "
                 f"{np.degrees(STILL):.1f}° is accepted; does its column belong to other rows?"
@@ -124,15 +126,6 @@ def judged(sweep: Sweep, base: Hand, name: str = "the record") -> list[str]:
         more = f"; and {len(told) - SHOWN} more" if len(told) > SHOWN else ""
         raise RecordError(f"{name} is refused: {'; '.join(told[:SHOWN])}{more}")
     return list(dict.fromkeys(remarks))
-
-
-def _most_motion(segment: Sweep, flexed: np.ndarray, swept: int) -> float:
-    """Largest motion of the swept servo within one of the points of a flexion [rad]."""
-    angle = segment.servo[flexed, swept]
-    return max(
-        float(np.ptp(angle[segment.point[flexed] == point]))
-        for point in np.unique(segment.point[flexed])
-    )
 
 
 def point_medians(sweep: Sweep, rows: np.ndarray) -> tuple[Array, Array, Array]:

@@ -148,15 +148,16 @@ def read_sweep(path: str | os.PathLike[str]) -> Sweep:
 def _parse(lines: list[str]) -> Sweep:
     if not lines or lines[0].strip() != HEADER:
         raise RecordError(f"row 1 must be {HEADER!r}, not {lines[0][:60] if lines else ''!r}")
-    numbers = [
-        number for number, line in enumerate(lines, 1) if line.strip() and not line.startswith("#")
-    ]
     # Each line by itself: a quotation mark that nothing closes is a fault of its row alone.
-    table = [(number, next(csv.reader([lines[number - 1]]))) for number in numbers]
+    table = [
+        (number, next(csv.reader([line])))
+        for number, line in enumerate(lines, 1)
+        if line.strip() and not line.startswith("#")
+    ]
     if len(table) < 2:
         raise RecordError("no rows of data")
-    names = [name.strip() for name in table[0][1]]
-    rows = table[1:]
+    (_, head), *rows = table
+    names = [name.strip() for name in head]
     for number, cells in rows:
         if len(cells) != len(names):
             raise RecordError(f"row {number} has {len(cells)} cells, the header {len(names)}")

@@ -105,12 +105,9 @@ def _hand_from_table(table: dict[str, Any]) -> Hand:
     if table.get("schema") != SCHEMA:
         raise ParameterError(f"schema {table.get('schema')!r} is not {SCHEMA}")
     _refuse_unknown(table, _TOP, "the file")
-    digits = _table(table, "digits")
-    servo = _table(table, "servo")
-    cmc = _table(table, "cmc")
-    _refuse_unknown(digits, DIGITS, "[digits]")
-    _refuse_unknown(servo, ("rate_limit",), "[servo]")
-    _refuse_unknown(cmc, _CMC, "[cmc]")
+    digits = _table(table, "digits", DIGITS)
+    servo = _table(table, "servo", ("rate_limit",))
+    cmc = _table(table, "cmc", _CMC)
     sources = _table(table, "sources")
     for key, text in sources.items():
         if not isinstance(text, str):
@@ -122,9 +119,7 @@ def _hand_from_table(table: dict[str, Any]) -> Hand:
         rate_limit=_number(servo, "rate_limit"),
         **{name: _number(cmc, name) for name in _CMC},
         sources=sources,
-        calibration=_calibration(_table(table, "calibration"))
-        if "calibration" in table
-        else Calibration(),
+        calibration=_calibration(table) if "calibration" in table else Calibration(),
     )
     for owner, name, value in _bounded(hand):
         most, unit = _MOST[name]
@@ -151,17 +146,15 @@ def _bounded(hand: Hand) -> Iterator[tuple[str, str, float]]:
 
 
 def _calibration(table: dict[str, Any]) -> Calibration:
-    columns = {part: f"{part}_friction" for part in _FRICTION}
-    _refuse_unknown(table, ("servo_zero", *columns.values()), "[calibration]")
-    numbers = {part: _numbers(table, key) for part, key in columns.items()}
-    for part, key in columns.items():
-        if len(numbers[part]) != len(DIGITS):
+    columns = [f"{part}_friction" for part in _FRICTION]
+    section = _table(table, "calibration", ("servo_zero", *columns))
+    numbers = [_numbers(section, key) for key in columns]
+    for key, values in zip(columns, numbers, strict=True):
+        if len(values) != len(DIGITS):
             raise ParameterError(
-                f"calibration: {key} must have {len(DIGITS)} entries, not {len(numbers[part])}"
+                f"calibration: {key} must have {len(DIGITS)} entries, not {len(values)}"
             )
-    return Calibration(
-        _numbers(table, "servo_zero"), tuple(map(Friction, numbers["joint"], numbers["tendon"]))
-    )
+    return Calibration(_numbers(section, "servo_zero"), tuple(map(Friction, *numbers)))
 
 
 def _digit(name: str, table: dict[str, Any]) -> Digit:
@@ -181,10 +174,12 @@ def _refuse_unknown(table: dict[str, Any], known: Iterable[str], owner: str) -> 
         raise ParameterError(f"{owner} has unknown fields {', '.join(unknown)}")
 
 
-def _table(table: dict[str, Any], key: str) -> dict[str, Any]:
+def _table(table: dict[str, Any], key: str, known: Iterable[str] | None = None) -> dict[str, Any]:
     section = table.get(key)
     if not isinstance(section, dict):
         raise ParameterError(f"table [{key}] is missing")
+    if known is not None:
+        _refuse_unknown(section, known, f"[{key}]")
     return section
 
 
