@@ -5,7 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hpac_gym.model import HPAC, SERVOS, elastic_joints_from_servo, servo_from_action
+from hpac_gym.model import (
+    HPAC,
+    SERVOS,
+    elastic_joints_from_servo,
+    servo_from_action,
+    synergy_from_action,
+)
 from hpac_gym.model.calibration import Calibration, Friction
 from hpac_gym.model.joints import JOINT_INDEX
 from hpac_gym.model.maps import POINTS, CommandMap
@@ -23,10 +29,6 @@ CALIBRATED = replace(
 ROOTS = [JOINT_INDEX[name] for name in SERVOS]
 ACTIONS = np.random.default_rng(0).uniform(-1, 1, (50, 6))
 FLEXING = np.random.default_rng(1).random((50, 6)) < 0.5
-
-
-def synergies(actions):
-    return HPAC.synergy_min + (actions + 1) / 2 * (HPAC.synergy_max - HPAC.synergy_min)
 
 
 def test_a_nominal_model_commands_and_predicts_to_the_bit_as_the_paper_s_map():
@@ -47,7 +49,7 @@ def test_a_calibrated_hand_comes_to_rest_at_the_synergy_that_the_action_asks_for
     inside = (servo > HPAC.servo_min) & (servo < HPAC.servo_max)
     assert inside.mean() > 0.7
     reached = settled_joints_from_servo(servo, CALIBRATED, way)[:, ROOTS]
-    wanted = synergies(ACTIONS)
+    wanted = synergy_from_action(ACTIONS)
     held = wanted > 0.25  # below, friction alone holds the joint at its stop
     assert np.abs(reached - wanted)[inside & held].max() < 1e-4
     nominal = settled_joints_from_servo(servo_from_action(ACTIONS), CALIBRATED, way)[:, ROOTS]
@@ -79,7 +81,7 @@ def test_a_policy_sees_the_servos_of_the_nominal_hand_at_the_predicted_synergy()
     servo = maps.servo_from_action(ACTIONS, FLEXING)
     shown = maps.shown_servo(servo, maps.joints_from_servo(servo, FLEXING))
     inside = (servo > HPAC.servo_min + 1e-3) & (servo < HPAC.servo_max - 1e-3)
-    inside &= synergies(ACTIONS) > 0.25
+    inside &= synergy_from_action(ACTIONS) > 0.25
     assert np.abs(shown - servo_from_action(ACTIONS))[inside].max() < 1e-3
     assert np.abs(servo - servo_from_action(ACTIONS))[inside].max() > 0.05
 

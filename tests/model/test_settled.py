@@ -16,7 +16,6 @@ from hpac_gym.model import (
     elastic_joints_from_servo,
     hand_to_toml,
     joints_from_synergy,
-    rigid_joints_from_servo,
     scaled_hand,
     servo_from_joints,
 )
@@ -37,13 +36,6 @@ STIFF_DRIVE = scaled_hand(HPAC, {"drive_stiffness": 1e9})
 def test_a_stiff_drive_without_friction_is_the_elastic_model():
     expected = elastic_joints_from_servo(SERVO)
     assert settled_joints_from_servo(SERVO, STIFF_DRIVE) == pytest.approx(expected, abs=1e-8)
-
-
-def test_stiff_tendons_without_friction_are_the_rigid_model():
-    stiff = scaled_hand(STIFF_DRIVE, {"tendon_stiffness": 1e9})
-    assert settled_joints_from_servo(SERVO, stiff) == pytest.approx(
-        rigid_joints_from_servo(SERVO), abs=1e-8
-    )
 
 
 @pytest.mark.parametrize("digit", HPAC.digits)
