@@ -52,9 +52,11 @@ RATE_HZ = 10.0
 class Rigged:
     """A hand on a virtual wire, in its stand before the camera."""
 
-    def __init__(self, servo, seed=1, hand=HPAC):
+    def __init__(self, servo, seed=1, hand=HPAC, physics=True):
         self.body = Body(Rig(), seed)
         self.body.mount(servo)
+        if not physics:  # what the servos are told is enough
+            self.body._sim = None
         self.pulses = []
         self.swept = hand
         self.hand = VirtualHand(config=config_of(hand), on_pulses=self.on_pulses)
@@ -166,8 +168,7 @@ BENT = replace(HPAC, rate_limit=0.4, workspace=HPAC.workspace | {"ring_mcp": (0.
 @pytest.mark.parametrize("hand", [HPAC, BENT], ids=["nominal", "bent"])
 def test_at_rest_there_are_no_pulses_but_for_the_thumb(hand):
     for servo, pulsed in (("index_mcp", False), ("thumb_mp", True)):
-        rigged = Rigged(servo, hand=hand)
-        rigged.body._sim = None  # no physics: what the servos are told is enough
+        rigged = Rigged(servo, hand=hand, physics=False)
         resting = []
 
         def look(rigged=rigged, resting=resting):
@@ -186,27 +187,18 @@ def test_at_rest_there_are_no_pulses_but_for_the_thumb(hand):
 # --- safety
 
 
-class Fails:
-    """A look that fails at some picture."""
-
-    def __init__(self, rigged, at, error):
-        self._rigged = rigged
-        self._at = at
-        self._error = error
-
-    def __call__(self):
-        if len(self._rigged.segment.seen) == self._at:
-            raise self._error
-        return {}
-
-
 @pytest.mark.parametrize("at", [3, 40, 150, 195], ids=["rest", "flexion", "extension", "last rest"])
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), CameraError("gone"), ZeroDivisionError()])
 def test_every_error_opens_the_hand_disarms_it_and_keeps_what_there_is(at, error):
-    rigged = Rigged("index_mcp")
-    rigged.body._sim = None  # no physics: what the servos are told is enough
+    rigged = Rigged("index_mcp", physics=False)
+
+    def look():
+        if len(rigged.segment.seen) == at:
+            raise error
+        return {}
+
     with pytest.raises(type(error)):
-        rigged.sweep(Fails(rigged, at, error))
+        rigged.sweep(look)
     assert not rigged.pulses[-1].any()
     told = [pulses for pulses in rigged.pulses if pulses.all()]
     if told:
@@ -217,8 +209,7 @@ def test_every_error_opens_the_hand_disarms_it_and_keeps_what_there_is(at, error
 
 
 def test_an_estop_ends_the_sweep_without_pulses():
-    rigged = Rigged("index_mcp")
-    rigged.body._sim = None
+    rigged = Rigged("index_mcp", physics=False)
     with HandLink(rigged.hand.connect) as link:
 
         def look():
@@ -232,8 +223,7 @@ def test_an_estop_ends_the_sweep_without_pulses():
 
 
 def test_a_latched_fault_is_told_and_nothing_moves():
-    rigged = Rigged("index_mcp")
-    rigged.body._sim = None
+    rigged = Rigged("index_mcp", physics=False)
     with HandLink(rigged.hand.connect) as link:
         link.estop()
         with pytest.raises(FaultError):
@@ -432,13 +422,19 @@ def wired(monkeypatch, request):
     return rigged
 
 
+@pytest.fixture
+def camera(tmp_path):
+    """A camera with its file, as on the command line."""
+    lens = tmp_path / "camera.json"
+    lens.write_text(STRIP_LENS.to_json())
+    return f"0,{lens}"
+
+
 WORDS = ("sweep", "--port", "any", "--servo", "index_mcp")
 
 
-def test_the_command_sweeps_draws_and_its_record_calibrates(wired, tmp_path, capsys):
-    lens = tmp_path / "camera.json"
-    lens.write_text(STRIP_LENS.to_json())
-    words = [*WORDS, "--camera", f"0,{lens}", "--out", str(tmp_path / "out")]
+def test_the_command_sweeps_draws_and_its_record_calibrates(wired, camera, tmp_path, capsys):
+    words = [*WORDS, "--camera", camera, "--out", str(tmp_path / "out")]
     assert hpac.main(words) == 0, capsys.readouterr().err
     told = capsys.readouterr()
     assert "its tags fit to 0.0" in told.err
@@ -514,10 +510,8 @@ def test_a_tracker_that_stops_ends_the_sweep(wired, tracker, tmp_path, capsys, s
     assert not (tmp_path / "sweep.csv").exists()
 
 
-def test_an_interrupted_sweep_leaves_the_record_as_it_was(wired, tmp_path, capsys):
-    lens = tmp_path / "camera.json"
-    lens.write_text(STRIP_LENS.to_json())
-    words = [*WORDS, "--camera", f"0,{lens}", "--out", str(tmp_path)]
+def test_an_interrupted_sweep_leaves_the_record_as_it_was(wired, camera, tmp_path, capsys):
+    words = [*WORDS, "--camera", camera, "--out", str(tmp_path)]
     assert hpac.main(words) == 0
     assert "recorded: index_mcp in " in capsys.readouterr().err
     before = (tmp_path / "sweep.csv").read_bytes()
@@ -548,11 +542,11 @@ class Terminal(io.StringIO):
     [(Terminal("\n"), 0), (Terminal(), 2), (None, 2)],
     ids=["Enter", "^D", "none"],
 )
-def test_a_person_is_asked_on_standard_error(wired, tmp_path, capsys, monkeypatch, typed, status):
-    lens = tmp_path / "camera.json"
-    lens.write_text(STRIP_LENS.to_json())
+def test_a_person_is_asked_on_standard_error(
+    wired, camera, tmp_path, capsys, monkeypatch, typed, status
+):
     monkeypatch.setattr(sys, "stdin", typed)
-    words = [*WORDS, "--camera", f"0,{lens}", "--out", str(tmp_path), "--json"]
+    words = [*WORDS, "--camera", camera, "--out", str(tmp_path), "--json"]
     assert hpac.main(words) == status
     said = capsys.readouterr()
     asked, *_, last = said.err.splitlines()
@@ -576,20 +570,16 @@ class Closing(io.StringIO):
         return super().write(text)
 
 
-def test_a_complete_sweep_is_recorded_whoever_hears_of_it(wired, tmp_path, monkeypatch):
-    lens = tmp_path / "camera.json"
-    lens.write_text(STRIP_LENS.to_json())
+def test_a_complete_sweep_is_recorded_whoever_hears_of_it(wired, camera, tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "stderr", Closing())
     with pytest.raises(BrokenPipeError):
-        driven.record("any", tmp_path / "sweep.csv", camera=f"0,{lens}", servos=["index_mcp"])
+        driven.record("any", tmp_path / "sweep.csv", camera=camera, servos=["index_mcp"])
     assert set(read_sweep(tmp_path / "sweep.csv").swept) == {SERVO_INDEX["index_mcp"]}
 
 
-def test_a_wrong_strip_is_not_recorded_and_told(wired, tmp_path, capsys):
+def test_a_wrong_strip_is_not_recorded_and_told(wired, camera, tmp_path, capsys):
     wired.body.exchanged = {0: 3, 3: 0}
-    lens = tmp_path / "camera.json"
-    lens.write_text(STRIP_LENS.to_json())
-    words = [*WORDS, "--camera", f"0,{lens}", "--points", "3", "--out", str(tmp_path)]
+    words = [*WORDS, "--camera", camera, "--points", "3", "--out", str(tmp_path)]
     assert hpac.main(words) == 2
     assert "error: sweep of index_mcp: tag 11 (palm) must stand still" in capsys.readouterr().err
     assert not (tmp_path / "sweep.csv").exists()
