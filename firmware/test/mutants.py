@@ -47,6 +47,8 @@ VARIANTS = {
 }
 """The chips and wirings of board/esp32/test/check.sh, which the port is tested with."""
 
+RECORD = FIRMWARE / "build" / "mutants.txt"
+"""What was noticed before."""
 EQUIVALENT = FIRMWARE / "test" / "mutants.txt"
 """Survivors that were looked at: one line each, `file: rule: code | reason`; `=` before it if
 nothing that the hand does differs. Those are not tried again and left out of the score, the others
@@ -61,6 +63,7 @@ class Workshop:
     """Compiles mutants beside objects of all that stays as it is."""
 
     def __init__(self, folder: Path, compiler: str, flags: tuple[str, ...]) -> None:
+        folder.mkdir()
         self.folder = folder
         self.compiler = compiler
         self.flags = ("-std=gnu11", *flags, "-g0", "-w")
@@ -173,30 +176,29 @@ def _key(mutant: Mutant) -> str:
 
 
 def _judge_once(
-    workshops: list[Workshop], mutant: Mutant, number: int, record: Path, noticed: dict[str, str]
+    workshops: list[Workshop], mutant: Mutant, number: int, noticed: dict[str, str]
 ) -> str:
     """A mutant's verdict, taken from the record or written into it."""
-    if _key(mutant) not in noticed:
-        verdict = judge_mutant(workshops, mutant, number)
-        if verdict == "":
-            print(f"survives: {_line(mutant)}", file=sys.stderr, flush=True)
-            return verdict
-        with record.open("a") as file:
-            file.write(f"{_key(mutant)} {verdict}\n")
-        return verdict
-    return noticed[_key(mutant)]
+    key = _key(mutant)
+    if key in noticed:
+        return noticed[key]
+    verdict = judge_mutant(workshops, mutant, number)
+    if verdict == "":
+        print(f"survives: {_line(mutant)}", file=sys.stderr, flush=True)
+    else:
+        with RECORD.open("a") as file:
+            file.write(f"{key} {verdict}\n")
+    return verdict
 
 
-def judge_all(
-    workshops: list[Workshop], mutants: list[Mutant], jobs: int, record: Path, sampled: bool
-) -> int:
+def judge_all(workshops: list[Workshop], mutants: list[Mutant], jobs: int, sampled: bool) -> int:
     """Judge mutants and print the score and the survivors."""
     lines = [
         line for line in EQUIVALENT.read_text().splitlines() if line and not line.startswith("#")
     ]
     known = dict(line.rsplit(" | ", 1) for line in lines)
     noticed_before = (
-        dict(line.split() for line in record.read_text().splitlines()) if record.exists() else {}
+        dict(line.split() for line in RECORD.read_text().splitlines()) if RECORD.exists() else {}
     )
     noticed_before |= {
         _key(mutant): "equivalent" for mutant in mutants if "= " + _line(mutant) in known
@@ -204,9 +206,7 @@ def judge_all(
     with ThreadPoolExecutor(jobs) as pool:
         pairs = enumerate(mutants)
         verdicts = list(
-            pool.map(
-                lambda pair: _judge_once(workshops, pair[1], pair[0], record, noticed_before), pairs
-            )
+            pool.map(lambda pair: _judge_once(workshops, pair[1], pair[0], noticed_before), pairs)
         )
     tally: dict[str, Counter] = {}
     unlisted = 0
@@ -267,36 +267,24 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--cc", default="cc", help="C compiler")
     parser.add_argument("--controls", action="store_true", help="the named faults alone")
-    parser.add_argument("--quick", action="store_true", help="leave the sanitizers out")
     parser.add_argument("--jobs", type=int, default=2, help="mutants at a time")
     parser.add_argument("--sample", type=int, help="so many of them, drawn at random")
     parser.add_argument("--seed", type=int, default=1, help="of the draw (default: %(default)s)")
-    parser.add_argument(
-        "--record",
-        type=Path,
-        default=FIRMWARE / "build" / "mutants.txt",
-        help="what was noticed before",
-    )
     parser.add_argument("files", nargs="*", help="mutate these files only, by name")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        for name in JUDGES:
-            (Path(folder) / name).mkdir()
-        workshops = [Workshop(Path(folder) / "plain", options.cc, ("-O1",))]
+        plain = Workshop(Path(folder) / "plain", options.cc, ("-O1",))
         if options.controls:
-            return judge_controls(workshops[0])
+            return judge_controls(plain)
         flags = ("-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
-        if not options.quick:
-            workshops.append(Workshop(Path(folder) / "sanitized", options.cc, flags))
-        sources = [*workshops[0].core, *workshops[0].port]
+        workshops = [plain, Workshop(Path(folder) / "sanitized", options.cc, flags)]
+        sources = [*plain.core, *plain.port]
         chosen = [path for path in sources if not options.files or path.name in options.files]
         mutants = [mutant for source in chosen for mutant in mutants_of(source)]
         if options.sample is not None:
             mutants = random.Random(options.seed).sample(mutants, min(options.sample, len(mutants)))
-        options.record.parent.mkdir(exist_ok=True)
-        return judge_all(
-            workshops, mutants, options.jobs, options.record, options.sample is not None
-        )
+        RECORD.parent.mkdir(exist_ok=True)
+        return judge_all(workshops, mutants, options.jobs, options.sample is not None)
 
 
 if __name__ == "__main__":

@@ -13,12 +13,12 @@ import atexit
 import json
 import os
 import signal
-import subprocess
 import sys
 import threading
 import time
 from collections import Counter
 from collections.abc import Sequence
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -183,16 +183,6 @@ def trial(seed: int, script: str, data: Path, out: Path, lasts: float) -> dict[s
         }
 
 
-def lane(options: argparse.Namespace) -> int:
-    """Kill one script for some seeds, one after the other, and write a line for each."""
-    data = options.out
-    (script,) = options.script
-    with (data / f"{script}.jsonl").open("a", buffering=1) as file:
-        for seed in range(options.first, options.times, options.lanes):
-            file.write(json.dumps(trial(seed, script, data, data, options.lasts)) + "\n")
-    return 0
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Kill the scripts, and print a table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -200,11 +190,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--lanes", type=int, default=6, help="hands at once")
     parser.add_argument("--script", choices=SCRIPTS, action="append", help="only this one")
     parser.add_argument("--out", type=Path, default=Path("runs/kills"), help="a new folder")
-    parser.add_argument("--first", type=int, help=argparse.SUPPRESS)
-    parser.add_argument("--lasts", type=float, help=argparse.SUPPRESS)
     options = parser.parse_args(arguments)
-    if options.first is not None:
-        return lane(options)
     options.out.mkdir(parents=True)
     untrained_policy(options.out / "policy")
     undisturbed("record", options.out, options.out)
@@ -213,15 +199,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for script in options.script or SCRIPTS:
         (options.out / script).mkdir()
         lasts = undisturbed(script, options.out, options.out / script)
-        same = ["--script", script, "--times", str(options.times), "--lanes", str(options.lanes)]
-        given = [*same, "--out", str(options.out), "--lasts", str(lasts)]
-        lanes = [
-            subprocess.Popen([sys.executable, "-m", "tests.kills", *given, "--first", str(first)])
-            for first in range(options.lanes)
-        ]
-        good &= all(process.wait() == 0 for process in lanes)
-        lines = (options.out / f"{script}.jsonl").read_text().splitlines()
-        rows = [row for row in map(json.loads, lines) if not row["before"]]
+        given = [(seed, script, options.out, options.out, lasts) for seed in range(options.times)]
+        with get_context("fork").Pool(options.lanes) as pool:
+            tried = pool.starmap(trial, given, chunksize=1)
+        (options.out / f"{script}.jsonl").write_text("\n".join(map(json.dumps, tried)) + "\n")
+        rows = [row for row in tried if not row["before"]]
         off = sum(row["off"] for row in rows)
         signals = dict(Counter(row["signal"] for row in rows))
         powered = sum(row["powered"] for row in rows)
