@@ -170,6 +170,7 @@ def learner(env: Hands, seed: int) -> PPO:
         gae_lambda=0.95,
         target_kl=0.02,
         seed=seed,
+        stats_window_size=2000,
         device="cpu",
         policy_kwargs={"seen": env.seen, "log_std_init": -2.5, "ortho_init": False},
     )
@@ -215,14 +216,7 @@ def imitate(model: PPO, env: Hands, rounds: int, seed: int) -> None:
 class Warm(BaseCallback):
     """Lets the critic alone learn for the first rollouts, and tells how training goes."""
 
-    def __init__(self) -> None:
-        super().__init__()
-        self._ended: list[bool] = []
-
     def _on_step(self) -> bool:
-        done = self.locals["dones"]
-        infos = self.locals["infos"]
-        self._ended += [bool(infos[world]["is_success"]) for world in np.flatnonzero(done)]
         return True
 
     def _on_rollout_end(self) -> None:
@@ -233,7 +227,7 @@ class Warm(BaseCallback):
             part.requires_grad_(learns)
         policy.log_std.requires_grad_(learns)
         if number % 20 == 0:
-            share = np.mean(self._ended[-2000:])
+            share = np.mean(self.model.ep_success_buffer)
             print(f"{self.num_timesteps:,} steps: {share:.3f} held in training", flush=True)
 
 

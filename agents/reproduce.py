@@ -21,7 +21,6 @@ from agents import POLICY, RecipeError, RunError
 from agents.curves import draw_trials
 from hpac_gym.command import command_parser, minutes, run, whole_number
 from hpac_gym.evaluation.evaluate import DEFAULT_ENV, env_id_of, evaluate
-from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import interquartile_mean, rate_text, stratified_bootstrap
 from hpac_gym.output import markdown, writable_file, write_text
 from hpac_gym.physics.simulation import SET_UPS, is_installed
@@ -168,12 +167,6 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument(
         "--episodes", type=whole_number(1), default=400, help="held-out episodes per cell"
     )
-    parser.add_argument(
-        "--seed-start",
-        type=whole_number(0),
-        default=HELD_OUT_SEED,
-        help="seed of the first episode",
-    )
     parser.add_argument("--workers", type=whole_number(1), default=1, help="number of processes")
     parser.add_argument("--out", type=Path, help="also write the numbers to this JSON file")
     parser.add_argument(
@@ -189,10 +182,9 @@ def main(argv: list[str] | None = None) -> int:
 
     def judge(policy: str, env_id: str, options: dict[str, str]) -> dict[str, Any]:
         """Evaluate one policy; returns its entry in the summary."""
-        how = {"seed_start": args.seed_start, "workers": args.workers, "options": options}
-        return next(
-            iter(evaluate([policy], env_id, args.episodes, **how).summary()["policies"].values())
-        )
+        how = {"workers": args.workers, "options": options}
+        (cell,) = evaluate([policy], env_id, args.episodes, **how).summary()["policies"].values()
+        return cell
 
     if args.table == "elsewhere":
         columns = ("policy", "judged on", *RANDOMIZED)
