@@ -12,10 +12,12 @@ from pathlib import Path
 import pytest
 
 from hpac_gym.bridge.errors import FrameError
+from hpac_gym.bridge.evidence import codec as wire
 from hpac_gym.bridge.firmware import BUILD_VARIABLE
 from hpac_gym.bridge.frame import decode
 from hpac_gym.bridge.hands import VirtualHand
 from tools.evidence import hostile, safety, scenarios, sessions
+from tools.evidence.judged_hand import Renumbering
 
 FIRMWARE = Path(__file__).parents[2] / "firmware"
 
@@ -46,6 +48,24 @@ def test_every_other_claim_holds_beside_a_control_that_does_not():
     wall_clock = list(safety._wall_clock(trials=2))
     assert (len(driver), len(wall_clock)) == (3, 2)
     check(driver + wall_clock)
+
+
+class ForgetsUntilCleared(Renumbering):
+    """Carries out a MOVE that comes again, and does not say so; from CLEAR on it moves no more."""
+
+    cleared = False
+
+    def _renumber(self, body):
+        self.cleared |= body[1] == wire.CLEAR
+        return None if self.cleared and body[1] == wire.MOVE else super()._renumber(body)
+
+    def _number_back(self, body):
+        unsaid = body[1] == wire.ACK and body[5] == wire.MOVE and self.seq > 1
+        return None if unsaid else super()._number_back(body)
+
+
+def test_a_move_that_comes_again_counts_by_its_motion_before_clear_too():
+    assert scenarios.old_moves(ForgetsUntilCleared) == (1, 9)
 
 
 @pytest.mark.slow

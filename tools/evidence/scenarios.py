@@ -233,14 +233,13 @@ def old_moves(kind: Hands) -> Played:
     for move in moves:
         hand.receive(move)
         link.sleep(1.1)
-    tried = 0
-    for _ in range(2):
+    moved = 0
+    for old in (moves[:-1], moves):
         before = link.status().servo
-        for move in moves[:-1] if tried == 0 else moves:
+        for move in old:
             hand.receive(move)
             link.sleep(0.1)
-            tried += 1
-        moved = float(np.abs(link.status().servo - before).max())
+        moved += bool((link.status().servo != before).any())
         link.clear()
         link.arm(Action.hold, 2.0)
-    return hand.oracle.broken["accept"] + (moved > 0), tried
+    return hand.oracle.broken["accept"] + moved, 2 * len(moves) - 1
