@@ -123,7 +123,7 @@ def draw(path: Path) -> None:
     axes.set_axis_off()
 
     def write(x: float, y: float, text: str, size: float = 7, **how: object) -> None:
-        axes.text(x, y, text, fontsize=size, ha="center", va="center", **how)
+        axes.text(x, y, text, **{"fontsize": size, "ha": "center", "va": "center", **how})
 
     def cut(low: Array, high: Array) -> None:
         x, y = np.stack([low, high]).T
@@ -152,8 +152,8 @@ def draw(path: Path) -> None:
             f"{name}, ids {tags[0].id}–{tags[-1].id}, this side up",
         )
     for servo, tags in STRIPS.items():
-        write(tags[0].centre[0] - 10, tags[0].centre[1] + 14, f"sweep of {servo}", 8, weight="bold")
-        axes.texts[-1].set_ha("left")
+        x, y = tags[0].centre
+        write(x - 10, y + 14, f"sweep of {servo}", 8, weight="bold", ha="left")
         for tag in tags:
             low = tag.corners[3] - MARGIN
             high = tag.corners[1] + MARGIN
@@ -168,9 +168,8 @@ def draw(path: Path) -> None:
         9,
     )
     left = PAGE[0] / 2 - RULER / 2
-    for millimetre in range(int(RULER) + 1):
-        height = 4 if millimetre % 10 == 0 else 2
-        axes.plot([left + millimetre] * 2, [14, 14 + height], "k", lw=0.25)
+    millimetre = np.arange(RULER + 1)
+    axes.vlines(left + millimetre, 14, np.where(millimetre % 10, 16, 18), "k", lw=0.25)
     axes.plot([left, left + RULER], [14, 14], "k", lw=0.25)
     write(105, 10, f"this line must be {RULER:g} mm long: measure it", 8)
     with replacing(path) as temporary:

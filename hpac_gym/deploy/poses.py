@@ -92,32 +92,30 @@ class Recorded(Source):
             rows = list(csv.DictReader(text.splitlines()))
         except csv.Error as error:
             raise PoseError(f"poses {path}: {error}") from None
-        self._times: list[float] = []
-        self._poses: list[Pose] = []
+        self._rows: list[tuple[float, Pose]] = []
         for number, row in enumerate(rows, 2):
             where = f"poses {path}, row {number}"
             given = tuple(name for name in COLUMNS if row.get(name))
             if given not in (COLUMNS[:4], COLUMNS):
                 raise PoseError(f"{where}: the columns are {', '.join(COLUMNS)}")
             try:
-                numbers = [float(row[name]) for name in given]
+                at, *numbers = (float(row[name]) for name in given)
             except ValueError as error:
                 raise PoseError(f"{where}: {error}") from None
-            if not np.isfinite(numbers[0]):
-                raise PoseError(f"{where}: time_s = {numbers[0]} must be a finite number [s]")
-            if self._times and numbers[0] <= self._times[-1]:
-                raise PoseError(f"{where}: {numbers[0]:g} s does not follow {self._times[-1]:g} s")
-            self._times.append(numbers[0])
-            self._poses.append(pose_of(numbers[1:], where))
+            if not np.isfinite(at):
+                raise PoseError(f"{where}: time_s = {at} must be a finite number [s]")
+            if self._rows and at <= self._rows[-1][0]:
+                raise PoseError(f"{where}: {at:g} s does not follow {self._rows[-1][0]:g} s")
+            self._rows.append((at, pose_of(numbers, where)))
         if not rows:
             raise PoseError(f"poses {path}: no rows")
         self._clock = clock
-        self._began = clock() - self._times[0]
+        self._began = clock() - self._rows[0][0]
 
     def latest(self) -> tuple[Pose, float]:
         now = self._clock() - self._began
-        place = max(int(np.searchsorted(self._times, now, side="right")) - 1, 0)
-        return self._poses[place], max(now - self._times[place], 0.0)
+        at, pose = next((row for row in reversed(self._rows) if row[0] <= now), self._rows[0])
+        return pose, max(now - at, 0.0)
 
 
 class Packets(Source):

@@ -26,8 +26,7 @@ from hpac_gym.model import (
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import HAND_POSITION, SceneSetup, SceneState
 from hpac_gym.physics.supports import GREEN, GREY, TABLE_HALF_EXTENTS, WOOD, support_boxes
-from hpac_gym.view.links import Links, add_mesh
-from hpac_gym.view.meshes import moved, object_meshes, solid
+from hpac_gym.view.meshes import Links, add_mesh, moved, object_meshes, solid
 
 GHOSTS = {
     "rigid": ("rigid prediction", (230, 80, 160)),
