@@ -154,7 +154,7 @@ class Recipe:
     def closures(self) -> Closures:
         """The family of closures of the recipe."""
         if self.env_id == GRASP_TYPE:
-            return Closures(goal=(-1, 1), wrist=(-1, 1))
+            return Closures(goal=(-1.0, 1.0), wrist=(-1.0, 1.0))
         shift = (-1.0, 1.0) if self.options.get("wrist") == "free" else None
         return Closures(begin=self.begin or None, release=self.release or None, shift=shift)
 

@@ -133,9 +133,8 @@ def settings_from(default: Settings, given: Any, name: str) -> Settings:
     for key, value in given.items():
         if key not in known:
             raise ParameterError(f"{name} has no field {key!r}; it has {', '.join(known)}")
-        if (
-            "bounds" not in known[key].metadata
-        ):  # fields with bounds are checked by the settings themselves
+        # Fields with bounds are checked by the settings themselves.
+        if "bounds" not in known[key].metadata:
             values[key] = _value(getattr(default, key), value, f"{name} {key}")
     try:
         return replace(default, **values)

@@ -8,15 +8,17 @@ without a simulator."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hpac_gym.errors import PolicyError
+from hpac_gym.errors import ParameterError, PolicyError
 from hpac_gym.model import SERVO_INDEX, SERVOS
+from hpac_gym.settings import check_bounds, setting
 
 OPEN = -1.0
 """Action that opens a digit."""
@@ -25,7 +27,8 @@ _CMC = SERVO_INDEX["thumb_cmc"]
 _NAMES = (*(f"{servo}_goal" for servo in SERVOS), "duration", "thumb_delay")
 _WRIST = ("grasp_x", "grasp_y", "grasp_z", "turn_x", "turn_y", "turn_z")
 _SHIFT = ("wrist_x", "wrist_y", "wrist_z", "wrist_yaw")
-_ACTIONS = ("goal", "wrist", "shift")  # ranges of what an action contains
+_ACTION: dict[str, Any] = {"bounds": (-1.0, 1.0)}
+_TIME: dict[str, Any] = {"bounds": (-math.inf, math.inf), "unit": "control steps"}
 _PRESHAPE = tuple(f"{servo}_preshape" for servo in SERVOS)
 
 Range = tuple[float, float]
@@ -33,55 +36,44 @@ Range = tuple[float, float]
 
 @dataclass(frozen=True, slots=True)
 class Closures:
-    """Ranges of the numbers of a closure; −1…1 of a decision spans each range. Times are in control
-    steps.
+    """Ranges of the numbers of a closure; −1…1 of a decision spans each range.
+
+    Attributes:
+        goal: final action of the thumb and of each finger, and constant action of the CMC.
+        duration: of the motion from open to the goals [control steps].
+        thumb_delay: delay of the thumb relative to the fingers [control steps].
+        begin: start of the closing [control steps]; None means immediately.
+        release: time at which the hand opens again [control steps]; None means never. Given if and
+            only if `begin` is given.
+        wrist: each number of a free wrist's pose. If given, the first action of a closure is its
+            preshape, in the range of `goal`, from which all servos move to their goals; None means
+            that the action has no wrist pose.
+        shift: each of the four numbers by which an open hand's wrist is moved before it closes;
+            None means that the action has none. Not with `wrist`.
 
     Raises:
-        PolicyError: A range is not a pair of ordered, finite numbers.
+        ParameterError: A range is not a pair of ordered numbers within its bounds, or ranges
+            exclude each other.
     """
 
-    goal: Range = (-0.4, 1.0)
-    """Final action of the thumb and of each finger, and constant action of the CMC."""
-    duration: Range = (6.0, 22.0)
-    """Duration of the motion from open to the goals."""
-    thumb_delay: Range = (-8.0, 8.0)
-    """Delay of the thumb relative to the fingers."""
-    begin: Range | None = None
-    """Start of the closing; None means immediately."""
-    release: Range | None = None
-    """Time at which the hand opens again; None means never. Given if and only if `begin` is given.
-    """
-    wrist: Range | None = None
-    """Each number of a free wrist's pose. If given, the first action of a closure is its preshape,
-    in the range of `goal`, from which all servos move to their goals; None means that the action
-    has no wrist pose."""
-    shift: Range | None = None
-    """Each of the four numbers by which an open hand's wrist is moved before it closes; None means
-    that the action has none."""
+    goal: Range = setting((-0.4, 1.0), **_ACTION)
+    duration: Range = setting((6.0, 22.0), **_TIME)
+    thumb_delay: Range = setting((-8.0, 8.0), **_TIME)
+    begin: Range | None = setting(None, **_TIME)
+    release: Range | None = setting(None, **_TIME)
+    wrist: Range | None = setting(None, **_ACTION)
+    shift: Range | None = setting(None, **_ACTION)
 
     def __post_init__(self) -> None:
+        check_bounds(self, "closure range")
         if (self.begin is None) != (self.release is None):
-            raise PolicyError(
+            raise ParameterError(
                 f"a closure has both begin {self.begin} and release {self.release}, or neither"
             )
         if self.wrist is not None and self.shift is not None:
-            raise PolicyError(
+            raise ParameterError(
                 "a closure places the wrist or shifts it: wrist and shift exclude each other"
             )
-        for entry in fields(self):
-            given = getattr(self, entry.name)
-            if given is None:
-                continue
-            most = 1.0 if entry.name in _ACTIONS else np.inf
-            if not (
-                len(given) == 2
-                and -most <= given[0] <= given[1] <= most
-                and np.isfinite(given).all()
-            ):
-                raise PolicyError(
-                    f"closure range {entry.name} = {given} must be two ordered numbers within ±{most:g}"
-                )
-            object.__setattr__(self, entry.name, (float(given[0]), float(given[1])))
 
     @classmethod
     def of(cls, ranges: Mapping[str, Any]) -> Closures:

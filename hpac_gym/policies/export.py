@@ -11,7 +11,7 @@ from typing import Any
 
 from hpac_gym.command import add_json, say
 from hpac_gym.errors import PolicyError
-from hpac_gym.output import markdown, replacing, writable_folder
+from hpac_gym.output import markdown, replacing
 from hpac_gym.policies.onnx_model import CARD, MODEL, onnx_model
 from hpac_gym.policies.policy_file import PolicyFile, read_policy
 
@@ -52,7 +52,6 @@ def export(
         CARD: f"{json.dumps(told, indent=2)}\n".encode(),
     }
     files |= {"README.md": text.encode()} | ({FILM: video} if video else {})
-    writable_folder(out)
     for name, data in files.items():
         with replacing(out / name) as temporary:
             temporary.write_bytes(data)

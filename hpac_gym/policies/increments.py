@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hpac_gym.errors import PolicyError
+from hpac_gym.errors import ParameterError, PolicyError
+from hpac_gym.settings import check_bounds, setting
 
 Array = NDArray[Any]
 
@@ -38,31 +39,31 @@ class Increments:
     """How such a policy moves the hand, and what it is shown: the mean of the first observations, as
     a reading of the untouched hand, then some of the last ones, the newest at the end.
 
+    Attributes:
+        start: action at the start posture, −1…1.
+        largest: largest change of the action in a control step. A decision's entry d makes the
+            change d·|d| times that, so that small changes are as easy to find as large ones.
+        frames: number of last observations.
+        apart: control steps between them.
+        first: number of first observations in the mean.
+
     Raises:
-        PolicyError: There are not six numbers of each kind, or one is out of its range.
+        ParameterError: There are not six numbers of each kind, or one is out of its range.
     """
 
-    start: tuple[float, ...]
-    """Action at the start posture, −1…1."""
-    largest: tuple[float, ...]
-    """Largest change of the action in a control step. A decision's entry d makes the change d·|d|
-    times that, so that small changes are as easy to find as large ones."""
+    start: tuple[float, ...] = setting(bounds=(-2.0, 2.0), size=6)
+    largest: tuple[float, ...] = setting(bounds=(-2.0, 2.0), size=6)
     frames: int = 3
-    """Number of last observations."""
     apart: int = 2
-    """Control steps between them."""
     first: int = 11
-    """Number of first observations in the mean."""
 
     def __post_init__(self) -> None:
-        for name in ("start", "largest"):
-            given = np.asarray(getattr(self, name), dtype=float)
-            if given.shape != (6,) or not np.all(np.abs(given) <= 2):
-                raise PolicyError(f"increments {name} = {given.tolist()} must be six numbers, −2…2")
-            object.__setattr__(self, name, tuple(given.tolist()))
+        check_bounds(self, "increments")
         for name in ("frames", "apart", "first"):
             if not (type(value := getattr(self, name)) is int and value >= 1):
-                raise PolicyError(f"increments {name} = {value!r} must be a whole number from 1 on")
+                raise ParameterError(
+                    f"increments {name} = {value!r} must be a whole number from 1 on"
+                )
 
     @classmethod
     def of(cls, told: Mapping[str, Any]) -> Increments:
