@@ -62,16 +62,13 @@ def header(args: argparse.Namespace) -> Results:
     seeds = list(range(RUNS if budget else 1))
     runs = [(_seeded(args.policy, seed), _seeded(args.normalize, seed)) for seed in seeds]
     splits = splits_of(args.env)
-    left_out = [
-        split
-        for split, options in splits.items()
-        if not is_installed(options.get("engine", "mujoco"))
-    ]
+    judged = [split for split in splits if is_installed(splits[split].get("engine", "mujoco"))]
+    left_out = [split for split in splits if split not in judged]
     if left_out:
         warnings.warn(
             f"PyBullet is not installed: the file will lack {', '.join(left_out)}", stacklevel=2
         )
-    for split in [split for split in splits if split not in left_out]:
+    for split in judged:
         with make_env(args.env, **_options(args.env, split, args.obs)) as env:
             for name, statistics in runs:
                 load_policy(name, env, statistics)  # errors are raised before the long run

@@ -5,8 +5,6 @@ rate of the first one drawn for each held-out seed; the ceiling is the rate at w
 tried succeeds, which requires luck or knowledge of the object. `python -m tools.blind_search` finds
 them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any

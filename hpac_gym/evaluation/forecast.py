@@ -48,14 +48,6 @@ class Forecast:
         rate, low, high = predicted_rate(successes, episodes, of)
         return cls(tuple(successes), episodes, of, rate, (low, high))
 
-    def line(self, what: str) -> str:
-        """The forecast in words."""
-        low, high = self.interval_95
-        return (
-            f"{what}: {self.success_rate:.1%} expected; in {self.of} episodes {low:.1%} to {high:.1%} (95 %), from "
-            f"{len(self.successes)} virtual hands with {self.episodes} episodes each; friction, masses and contacts as simulated"
-        )
-
 
 def forecast(
     hands: Sequence[Hand],
@@ -167,6 +159,11 @@ def run(args: argparse.Namespace) -> int:
         "model": args.commands or str(args.file),
         "options": given,
     }
-    line = expected.line(f"{args.file}, {told}, commanded with {args.commands or 'it'}")
+    low, high = expected.interval_95
+    line = (
+        f"{args.file}, {told}, commanded with {args.commands or 'it'}: {expected.success_rate:.1%} expected; "
+        f"in {args.of} episodes {low:.1%} to {high:.1%} (95 %), from {len(expected.successes)} virtual hands with "
+        f"{args.episodes} episodes each; friction, masses and contacts as simulated"
+    )
     say(args.json, line, **text, **asdict(expected))
     return 0

@@ -92,26 +92,15 @@ def test_goals_are_recorded_and_cloned_too(tmp_path, monkeypatch):
 
 def still(env):
     """A policy that keeps the hand half closed."""
-    return SimpleNamespace(predict=lambda seen, state, start: (np.zeros((1, 6), np.float32), state))
+    return SimpleNamespace(predict=lambda seen, state, start: (np.zeros(6, np.float32), state))
 
 
 @pytest.fixture
 def unnumbered():
     """An environment whose id has no version."""
-    gymnasium.register("Bare", "tests.evaluation.test_dataset:Bare")
+    gymnasium.register("Bare", "tests.tiny_task:Tiny")
     yield "Bare"
     del gymnasium.registry["Bare"]
-
-
-class Bare(gymnasium.Env):
-    observation_space = gymnasium.spaces.Box(0, 1, (2,))
-    action_space = gymnasium.spaces.Box(-1, 1, (6,))
-
-    def reset(self, **options):
-        return np.zeros(2, np.float32), {}
-
-    def step(self, action):
-        return np.zeros(2, np.float32), 0.0, True, False, {"is_success": True}
 
 
 @pytest.mark.parametrize("before", [None, "elsewhere"])
