@@ -203,21 +203,13 @@ def _on_edges(picture: np.ndarray, corners: Array) -> Array:
     centred = along - 0.5  # the line of least squares through evenly spaced points
     slope = (off * centred).sum(axis=-1) / (centred**2).sum()
     offset = off.mean(axis=-1)
-    ends = [
-        point + (offset + side * slope)[..., None] * outward
-        for point, side in ((corners, -0.5), (corners + way, 0.5))
-    ]
-    line = ends[1] - ends[0]
-    before = np.roll(line, 1, axis=1)
-    start = np.roll(ends[0], 1, axis=1)
-    gap = ends[0] - start
-    share = _cross(gap, line) / _cross(before, line)
-    return start + share[..., None] * before
-
-
-def _cross(a: Array, b: Array) -> Array:
-    """Signed areas between vectors of the plane, shape (...) for (..., 2)."""
-    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+    starts = corners + (offset - 0.5 * slope)[..., None] * outward
+    ends = corners + way + (offset + 0.5 * slope)[..., None] * outward
+    # In homogeneous coordinates a line is the cross product of two points, and a point of two lines.
+    one = ((0, 0), (0, 0), (0, 1))
+    lines = np.cross(*(np.pad(points, one, constant_values=1.0) for points in (starts, ends)))
+    meet = np.cross(np.roll(lines, 1, axis=1), lines)
+    return meet[..., :2] / meet[..., 2:]
 
 
 def rays(pixels: Array, lens: Lens) -> Array:

@@ -4,11 +4,11 @@ Whatever happens, the hand opens slowly and is disarmed before anything else is 
 
 import json
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from dataclasses import asdict
 from itertools import count
 from pathlib import Path
-from typing import Any, Self, TextIO
+from typing import Any, TextIO
 
 import numpy as np
 
@@ -34,7 +34,7 @@ OLDEST = 0.5
 LOG_VERSION = 1
 
 
-class Log:
+class Log(AbstractContextManager):
     """One JSON object a line, in the file as soon as it is written: complete after ``kill -9``.
 
     A log of that name, or its wire log, is kept under the next free number; who still writes to it
@@ -71,9 +71,6 @@ class Log:
             self._file.write(text + "\n")
         except OSError as error:
             raise OutputError(f"cannot write '{self._path}': {error.strerror}") from None
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_: object) -> None:
         with suppress(OSError):

@@ -16,7 +16,7 @@ from hpac_gym.envs import make_task
 from hpac_gym.model import HPAC, SERVOS, Hand, action_from_synergy
 from hpac_gym.model.checks import Array
 from hpac_gym.model.maps import CommandMap
-from hpac_gym.physics.engine import SceneSetup, SceneState, matrix_from_quaternion
+from hpac_gym.physics.engine import SceneState, matrix_from_quaternion
 from hpac_gym.registration import GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE
 from hpac_gym.tasks.cameras import CameraNoise
 from hpac_gym.tasks.task import CONTROL_HZ, Task
@@ -97,8 +97,7 @@ class Observer:
         size = len(SERVOS) + len(self.task.wrist_actions)
         self.action_space = Box(-1.0, 1.0, (size,), np.float32)
         self.steps = round(self.task.duration * CONTROL_HZ)
-        drawn = self.task.setup(np.random.default_rng(0), HPAC)
-        self.setup: SceneSetup = replace(drawn, object=object)
+        self.setup = replace(self.task.setup(np.random.default_rng(0), HPAC), object=object)
         self.task.prepare(1, CameraNoise())
         self._times = tuple((np.arange(self.steps + 1) / CONTROL_HZ).tolist())
         self.start()
