@@ -5,6 +5,7 @@ pseudo-terminal.
 import pytest
 
 from hpac_gym.bridge import HandLink, HostBoard, VirtualHand
+from tests.bridge.devices import Overheard
 
 
 @pytest.fixture
@@ -30,3 +31,9 @@ def armed(link):
 def host_board():
     with HostBoard() as board:
         yield board
+
+
+@pytest.fixture
+def overheard(virtual_hand):
+    """A transport to `virtual_hand` that can lose its frames."""
+    return Overheard(virtual_hand)

@@ -55,17 +55,21 @@ class Device(VirtualTransport):
 
 
 class Overheard(VirtualTransport):
-    """Notes when which frame is written; a deaf one takes it no further."""
+    """Notes when which frame is written; loses what goes "out" or comes "in" if it is told to."""
 
-    def __init__(self, hand, deaf=False):
+    def __init__(self, hand, *lost):
         super().__init__(hand)
-        self.deaf = deaf
+        self.lost = lost
         self.frames = []
 
     def write(self, data):
         self.frames.append((self.now(), decode(data[1:-1])))
-        if not self.deaf:
+        if "out" not in self.lost:
             super().write(data)
+
+    def read(self, timeout):
+        data = super().read(timeout)
+        return b"" if "in" in self.lost else data
 
     def of(self, name):
         return [(time, frame) for time, frame in self.frames if frame.name == name]

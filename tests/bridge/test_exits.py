@@ -221,19 +221,18 @@ with link:
     link.arm(Action.hold, watchdog=2.0)
     link.move(ServoCommand([0.4] * 6, 0.5))
     print("armed", flush=True)
-    {body}
 """
 
 
-def run_against(board, body, *signals, whole=None):
-    """A program of its own that arms the hand and goes on with `body`; gets the signals once it is
-    armed.
-    """
-    program = PROGRAM + textwrap.dedent(
-        whole or SESSION.format(body=textwrap.indent(body, "    ").strip())
-    )
+def session(body):
+    """A program that arms the hand and goes on with `body`."""
+    return SESSION + textwrap.indent(body, "    ")
+
+
+def run_against(board, program, *signals):
+    """A program of its own that arms the hand; gets the signals once it is armed."""
     process = subprocess.Popen(
-        [sys.executable, "-c", program, board.port],
+        [sys.executable, "-c", PROGRAM + program, board.port],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -248,24 +247,6 @@ def run_against(board, body, *signals, whole=None):
     process.send_signal(signal.SIGCONT)
     _, complaint = process.communicate(timeout=60)
     return process.returncode, complaint
-
-
-@pytest.mark.parametrize(
-    ("body", "signals", "status"),
-    [
-        ("sys.exit(5)", [], 5),
-        ("link.sleep(60)", [signal.SIGINT], -signal.SIGINT),
-        ("time.sleep(60)", [signal.SIGINT, signal.SIGINT], -signal.SIGINT),
-        ("link.sleep(60)", [signal.SIGTERM], 128 + signal.SIGTERM),
-        ("link.sleep(60)", [signal.SIGHUP, signal.SIGTERM, signal.SIGINT], 128 + signal.SIGHUP),
-    ],
-    ids=["exit", "ctrl-c", "ctrl-c twice", "sigterm", "sighup and more"],
-)
-def test_a_program_that_ends_leaves_the_hand_without_pulses(host_board, body, signals, status):
-    returned, complaint = run_against(host_board, body, *signals)
-    assert returned == status, complaint
-    assert not host_board.pulses().any()
-    assert "Unconfirmed" not in complaint
 
 
 IN_A_THREAD = """
@@ -310,21 +291,44 @@ asyncio.run(drive())
 """
 
 
-@pytest.mark.parametrize(
-    ("whole", "signals", "status"),
-    [
-        (IN_A_THREAD, [signal.SIGTERM], 128 + signal.SIGTERM),
-        (IN_A_THREAD, [signal.SIGHUP], 128 + signal.SIGHUP),
-        (IN_A_CHILD, [], 0),
-        (IN_A_TASK, [signal.SIGINT], -signal.SIGINT),
-    ],
-    ids=["thread, sigterm", "thread, sighup", "child process", "blocking task, ctrl-c"],
-)
-def test_a_link_elsewhere_than_in_the_main_thread_is_ended_too(host_board, whole, signals, status):
-    returned, complaint = run_against(host_board, "", *signals, whole=whole)
+UNCLOSED = "link.connect(); link.arm(Action.hold); print('armed', flush=True)"
+OPENED_LATE = """
+import atexit
+
+def late():
+    link.connect()
+    link.arm(Action.hold)
+    print("armed", flush=True)
+
+atexit.register(late)
+"""
+SLEEPING = session("link.sleep(60)")
+HUNG = session("time.sleep(60)")
+ENDS = {
+    "exit": (session("sys.exit(5)"), [], 5),
+    "ctrl-c": (SLEEPING, [signal.SIGINT], -signal.SIGINT),
+    "ctrl-c twice": (HUNG, [signal.SIGINT, signal.SIGINT], -signal.SIGINT),
+    "sigterm": (SLEEPING, [signal.SIGTERM], 128 + signal.SIGTERM),
+    "more": (SLEEPING, [signal.SIGHUP, signal.SIGTERM, signal.SIGINT], 128 + signal.SIGHUP),
+    "thread, sigterm": (IN_A_THREAD, [signal.SIGTERM], 128 + signal.SIGTERM),
+    "thread, sighup": (IN_A_THREAD, [signal.SIGHUP], 128 + signal.SIGHUP),
+    "child process": (IN_A_CHILD, [], 0),
+    "blocking task, ctrl-c": (IN_A_TASK, [signal.SIGINT], -signal.SIGINT),
+    "nobody closes it": (UNCLOSED, [], 0),
+    "opened while the program ends": (OPENED_LATE, [], 0),
+}
+"""Programs, the signals that they get once they are armed, and their exit statuses."""
+
+
+@pytest.mark.parametrize(("program", "signals", "status"), ENDS.values(), ids=ENDS)
+def test_a_program_that_ends_leaves_the_hand_without_pulses_and_its_port_free(
+    host_board, program, signals, status
+):
+    returned, complaint = run_against(host_board, program, *signals)
     assert returned == status, complaint
     assert not host_board.pulses().any()
-    with HandLink(host_board.connect) as link:  # its port is free
+    assert "Unconfirmed" not in complaint
+    with HandLink(host_board.connect) as link:
         assert link.state == "idle"
 
 
@@ -376,48 +380,25 @@ def test_long_last_words_are_told(virtual_hand, monkeypatch, capsys):
     assert capsys.readouterr().err == "asking the hand to stop: no answer yet\n"
 
 
-def test_a_link_that_was_taken_over_leaves_the_new_controller_its_hand(virtual_hand):
-    old = HandLink(virtual_hand.connect)
-    old.connect()
-    old.arm(Action.hold)
+def test_a_link_that_was_taken_over_leaves_the_new_controller_its_hand(virtual_hand, link):
+    link.arm(Action.hold)
     with HandLink(virtual_hand.connect) as new:
         new.arm(Action.hold, watchdog=2.0)
         with pytest.warns(UnconfirmedWarning, match="another program has greeted the hand"):
-            old.close()
+            link.close()
         assert new.heartbeat() == "armed"
         assert virtual_hand.pulses().all()
 
 
 def test_a_killed_program_leaves_the_hand_safe_within_the_watchdog_time(host_board):
     move = "link.move(ServoCommand([0.5] * 6, 10.0))"
-    whole = f"link.connect(); link.arm(Action.detach); {move}; print('armed', flush=True); link.sleep(60)"
-    assert run_against(host_board, "", signal.SIGKILL, whole=whole)[0] == -signal.SIGKILL
+    program = f"link.connect(); link.arm(Action.detach); {move}; print('armed', flush=True); link.sleep(60)"
+    assert run_against(host_board, program, signal.SIGKILL)[0] == -signal.SIGKILL
     # The hand's watchdog of 0.4 s, and a busy machine.
     wait_for(lambda: not host_board.pulses().any(), 20)
     with HandLink(host_board.connect) as link:
         with pytest.raises(FaultError, match="watchdog"):
             link.arm()
-
-
-UNCLOSED = "link.connect(); link.arm(Action.hold); print('armed', flush=True)"
-OPENED_LATE = """
-import atexit
-
-def late():
-    link.connect()
-    link.arm(Action.hold)
-    print("armed", flush=True)
-
-atexit.register(late)
-"""
-
-
-@pytest.mark.parametrize(
-    "whole", [UNCLOSED, OPENED_LATE], ids=["nobody closes it", "opened while the program ends"]
-)
-def test_a_link_that_is_open_at_the_end_of_the_program_is_closed(host_board, whole):
-    assert run_against(host_board, "", whole=whole) == (0, "")
-    assert not host_board.pulses().any()
 
 
 @pytest.mark.parametrize("streams", [False, True])
@@ -450,7 +431,7 @@ for ending in ("os._exit(0)", "sys.exit(0)", "raise ValueError", "signal.raise_s
 link.sleep(0.3)
 assert len(link.status().attached) == 6
 """
-    returned, complaint = run_against(host_board, body)
+    returned, complaint = run_against(host_board, session(body))
     assert returned == 0, complaint
     assert not host_board.pulses().any()
 
@@ -471,51 +452,32 @@ def test_no_call_of_another_process_reaches_the_hand(virtual_hand, armed, call):
 # --------------------------------------------------------------------------------
 
 
-class Failing(VirtualTransport):
-    """Loses what goes `out` or comes `in` once told to."""
-
-    lost = ()
-
-    def write(self, data):
-        if "out" not in self.lost:
-            super().write(data)
-
-    def read(self, timeout):
-        data = super().read(timeout)
-        return b"" if "in" in self.lost else data
-
-
 @pytest.fixture
-def failing(virtual_hand):
-    return Failing(virtual_hand)
-
-
-@pytest.fixture
-def left_holding(virtual_hand, failing):
+def left_holding(virtual_hand, overheard):
     """A hand that holds in a fault: an earlier session has lost it."""
-    with pytest.warns(UnconfirmedWarning), HandLink(lambda: failing) as link:
+    with pytest.warns(UnconfirmedWarning), HandLink(lambda: overheard) as link:
         link.arm(Action.hold)
-        failing.lost = ("in", "out")
+        overheard.lost = ("in", "out")
     virtual_hand.run(1.0)
     assert virtual_hand.pulses().all()
     return virtual_hand
 
 
-def test_answers_lost_while_arming_leave_no_pulses(virtual_hand, failing):
+def test_answers_lost_while_arming_leave_no_pulses(virtual_hand, overheard):
     with pytest.warns(UnconfirmedWarning, match="CLEAR × 1[0-9]"):
-        with pytest.raises(LinkTimeout) as caught, HandLink(lambda: failing) as link:
-            failing.lost = ("in",)
+        with pytest.raises(LinkTimeout) as caught, HandLink(lambda: overheard) as link:
+            overheard.lost = ("in",)
             link.arm(Action.hold)
     assert "not confirmed" in caught.value.__notes__[0]
     assert not virtual_hand.pulses().any()
 
 
-def test_a_dead_link_is_told_of_and_the_users_exception_survives(failing):
+def test_a_dead_link_is_told_of_and_the_users_exception_survives(overheard):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        with pytest.raises(ZeroDivisionError) as caught, HandLink(lambda: failing) as link:
+        with pytest.raises(ZeroDivisionError) as caught, HandLink(lambda: overheard) as link:
             link.arm(Action.detach)
-            failing.lost = ("in", "out")
+            overheard.lost = ("in", "out")
             raise ZeroDivisionError
     assert re.search(r"ESTOP × \d+, CLEAR × \d+", caught.value.__notes__[0])
     assert "supply" in caught.value.__notes__[0]
@@ -535,10 +497,10 @@ def test_the_next_session_ends_a_fault_that_holds(left_holding):
     assert not left_holding.pulses().any()
 
 
-def test_a_hand_that_nobody_can_hear_is_cleared_when_the_handshake_fails(left_holding, failing):
-    failing.lost = ("in",)
+def test_a_hand_that_nobody_can_hear_is_cleared_when_the_handshake_fails(left_holding, overheard):
+    overheard.lost = ("in",)
     with pytest.raises(HandshakeError) as caught:
-        HandLink(lambda: failing, handshake_timeout=0.3).connect()
+        HandLink(lambda: overheard, handshake_timeout=0.3).connect()
     assert "not confirmed" in caught.value.__notes__[0]
     assert not left_holding.pulses().any()
 
@@ -651,10 +613,10 @@ def test_close_from_another_thread_ends_the_call_that_waits(host_board):
         link.heartbeat()
 
 
-def test_an_estop_that_is_not_confirmed_says_so(virtual_hand, failing):
-    with pytest.warns(UnconfirmedWarning), HandLink(lambda: failing) as link:
+def test_an_estop_that_is_not_confirmed_says_so(virtual_hand, overheard):
+    with pytest.warns(UnconfirmedWarning), HandLink(lambda: overheard) as link:
         link.arm()
-        failing.lost = ("in",)
+        overheard.lost = ("in",)
         with pytest.raises(LinkTimeout, match="estop"):
             link.estop()
         assert not virtual_hand.pulses().any()
@@ -683,7 +645,7 @@ def test_a_signal_that_came_while_the_process_was_stopped_ends_a_long_call_too(
     monkeypatch.setenv("OPENBLAS_NUM_THREADS", "2")
     for _ in range(5):
         start = time.monotonic()
-        returned, complaint = run_against(host_board, "", signal.SIGTERM, whole=IN_A_LONG_CALL)
+        returned, complaint = run_against(host_board, IN_A_LONG_CALL, signal.SIGTERM)
         assert (returned, complaint) == (128 + signal.SIGTERM, "")
         assert time.monotonic() - start < 30
         assert not host_board.pulses().any()

@@ -32,11 +32,6 @@ from tests.bridge.devices import Bad, Device, Overheard
 
 
 @pytest.fixture
-def overheard(virtual_hand):
-    return Overheard(virtual_hand)
-
-
-@pytest.fixture
 def talking(overheard):
     with HandLink(lambda: overheard) as link:
         yield link
@@ -47,7 +42,7 @@ def gaps(said):
 
 
 def test_a_handshake_is_tried_every_tenth_of_a_second_for_three(virtual_hand):
-    deaf = Overheard(virtual_hand, deaf=True)
+    deaf = Overheard(virtual_hand, "out")
     with pytest.raises(HandshakeError, match=r"no hand answered within 3 s \(silence\)") as caught:
         HandLink(lambda: deaf).connect()
     hellos = deaf.of("hello")
@@ -61,7 +56,7 @@ def test_a_handshake_is_tried_every_tenth_of_a_second_for_three(virtual_hand):
 
 def test_a_frame_is_sent_three_times_a_tenth_of_a_second_apart(talking, overheard):
     talking.arm()
-    overheard.deaf = True
+    overheard.lost = ("out",)
     before = len(overheard.of("status"))
     with pytest.raises(LinkTimeout, match=r"no answer to heartbeat: 3 times, 0.1 s each"):
         talking.heartbeat()
@@ -260,7 +255,7 @@ def test_a_port_that_fails_in_one_direction_ends_the_call_at_once(virtual_hand, 
 
 
 def test_doctor_listens_for_three_seconds(virtual_hand):
-    deaf = Overheard(virtual_hand, deaf=True)
+    deaf = Overheard(virtual_hand, "out")
     finding = diagnose("here", lambda: deaf)
     assert "silence for 3 s" in finding.what
     hellos = deaf.of("hello")
