@@ -8,7 +8,7 @@ found by successive elimination, and evaluates it on the held-out seeds."""
 
 import sys
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
@@ -16,7 +16,7 @@ import gymnasium
 import numpy as np
 
 from hpac_gym.command import command_parser, run, whole_number
-from hpac_gym.evaluation.blind import Blind, Closure
+from hpac_gym.evaluation.blind import Blind
 from hpac_gym.evaluation.episodes import run_episodes, single
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import rate_text
@@ -27,6 +27,8 @@ from hpac_gym.output import write_text
 ENV_ID = "HPAC-Grasp-v0"
 TARGET = Path(__file__).with_name("grasp_closures.csv")
 COLUMNS = ("seed", "tries", *SERVOS, "steps", "lead")
+Closure = tuple[float, ...]
+"""As `hpac_gym.evaluation.blind.action` takes it."""
 TRIES = 256
 """Most closures that are tried for a seed."""
 ROUNDS = ((128, 4), (32, 12), (8, 40), (2, 120))
@@ -47,8 +49,8 @@ class Try:
 
     def row(self) -> str:
         """The result as a line of the file."""
-        values = () if self.closure is None else (*self.closure.goal, *astuple(self.closure)[1:])
-        return ",".join(map(str, (self.seed, self.tries, *(values or [""] * (len(COLUMNS) - 2)))))
+        values = self.closure or [""] * (len(COLUMNS) - 2)
+        return ",".join(map(str, (self.seed, self.tries, *values)))
 
     @classmethod
     def of_row(cls, row: str) -> "Try":
@@ -56,8 +58,7 @@ class Try:
         seed, tries, *values = row.split(",")
         if not values[0]:
             return cls(int(seed), int(tries), None)
-        *goal, steps, lead = map(float, values)
-        return cls(int(seed), int(tries), Closure(tuple(goal), steps, lead))
+        return cls(int(seed), int(tries), tuple(map(float, values)))
 
 
 def winning_closures() -> list[Try]:
@@ -77,7 +78,7 @@ def drawn(rng: np.random.Generator) -> Closure:
     goal[SERVO_INDEX["thumb_cmc"]] = rng.uniform(-0.2, 0.9)
     steps = rng.uniform(8.0, 22.0)
     lead = rng.uniform(-6.0, 6.0)
-    return Closure(tuple(goal.round(3).tolist()), round(steps, 2), round(lead, 2))
+    return (*goal.round(3).tolist(), round(steps, 2), round(lead, 2))
 
 
 @cache
@@ -110,7 +111,7 @@ def wins(closure: Closure, first_seed: int, episodes: int, engine: str) -> int:
 
 def search_all(seeds: range, engine: str, workers: int) -> None:
     """Search and write the closures that are missing in the file."""
-    known = {result.seed: result for result in winning_closures()} if TARGET.exists() else {}
+    known = {result.seed: result for result in winning_closures()}
     missing = [seed for seed in seeds if seed not in known]
     for result in shared(search, ((seed, engine) for seed in missing), workers):
         known[result.seed] = result

@@ -5,7 +5,7 @@ rate of the first one drawn for each held-out seed; the ceiling is the rate at w
 tried succeeds, which requires luck or knowledge of the object. `python -m tools.blind_search` finds
 them."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,31 +21,24 @@ MEASURED_WITH = {"engine": "pybullet", "body": "twin", "randomize": "nominal"}
 CLOSURES = Closures(goal=(-1.0, 1.0), duration=(0.0, 32.0), thumb_delay=(-8.0, 8.0))
 
 
-@dataclass(frozen=True, slots=True)
-class Closure:
-    """One of `CLOSURES`, in unscaled numbers; a leading thumb starts partly closed.
-
-    Attributes:
-        goal: the final action, shape (6,), −1…1; the CMC's is constant.
-        steps: control steps from open to closed.
-        lead: control steps by which the thumb starts after the fingers; negative if it starts
-            before them.
-    """
-
-    goal: tuple[float, ...]
-    steps: float
-    lead: float
-
-    def action(self, step: int) -> NDArray[np.float32]:
-        """The action of a control step, counted from 1, shape (6,)."""
-        decision = CLOSURES.decisions([*self.goal, self.steps, self.lead])
-        return CLOSURES.actions([decision], [step - 1 + max(-self.lead, 0.0)])[0].astype(np.float32)
-
-
-BLIND = Closure((0.786, 0.502, 0.372, 0.107, -0.113, 0.438), steps=10.68, lead=5.71)
+BLIND = (0.786, 0.502, 0.372, 0.107, -0.113, 0.438, 10.68, 5.71)
 """The most successful of 128 closures on 176 training episodes; `python -m tools.blind_search --blind`
 found it.
 """
+
+
+def action(closure: Sequence[float], step: int) -> NDArray[np.float32]:
+    """The action of a closure in a control step, counted from 1, shape (6,).
+
+    Args:
+        closure: numbers of `CLOSURES`, unscaled, shape (8,): the final action, −1…1, the CMC's
+            being constant; control steps from open to closed; control steps by which the thumb
+            starts after the fingers, negative if it starts before them, then partly closed.
+        step: the control step.
+    """
+    late = max(-closure[-1], 0.0)
+    decision = CLOSURES.decisions(closure)
+    return CLOSURES.actions([decision], [step - 1 + late])[0].astype(np.float32)
 
 
 class Blind(EpisodePolicy):
@@ -53,12 +46,12 @@ class Blind(EpisodePolicy):
     requires.
     """
 
-    def __init__(self, env: object, closure: Closure = BLIND) -> None:
+    def __init__(self, env: object, closure: Sequence[float] = BLIND) -> None:
         self._closure = closure
 
     def _act(self, observation: Any, memory: int | None) -> tuple[NDArray[np.float32], int]:
         step = (memory or 0) + 1
-        return self._closure.action(step), step
+        return action(self._closure, step), step
 
 
 @dataclass(frozen=True, slots=True)
