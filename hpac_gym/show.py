@@ -28,7 +28,6 @@ FILMS: dict[str, dict[str, Any]] = {
     ".mp4": {"fps": CONTROL_HZ, "macro_block_size": None, "quality": 7},
 }
 """Kinds of films, and how imageio writes them."""
-HOW_MANY = "how many (default: until Ctrl-C; 3 with --record)"
 PAUSE = 1.0
 """Time for which the end of an episode stays [s]."""
 
@@ -41,7 +40,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--normalize", metavar="FILE", help=NORMALIZE)
     add_env_options(parser, "id, also module:My-v0 (default: a policy file's own)")
     parser.add_argument("--seed", type=whole_number(0), default=HELD_OUT_SEED, help="of the first")
-    parser.add_argument("--episodes", type=whole_number(1), help=HOW_MANY)
+    parser.add_argument(
+        "--episodes",
+        type=whole_number(1),
+        help="how many (default: until Ctrl-C; 3 with --record)",
+    )
     parser.add_argument(
         "--record", type=Path, metavar="FILE", help="write a film (.mp4, .gif) instead of a page"
     )

@@ -36,9 +36,6 @@ GHOSTS = {
 """Postures that can be laid over the hand: label and colour."""
 PICTURE_HZ = 20
 """Pictures a second."""
-FREE = "Servos [rad]"
-DRIVEN = "Servos [rad], read-only"
-"""Above the sliders, as they drive the hand or follow it."""
 _ROUND_RANGE = (np.ceil(100 * HPAC.servo_min) / 100, np.floor(100 * HPAC.servo_max) / 100)
 
 
@@ -189,7 +186,7 @@ class HandPage:
             gui.add_markdown(
                 "*It stops the pulses if page, program and wire work: no safety device.*"
             )
-        self._servos = gui.add_folder(FREE)
+        self._servos = gui.add_folder("Servos [rad]")
         with self._servos:
             self.sliders = [
                 gui.add_slider(name, low, high, 0.01, max(low, 0.0))
@@ -229,7 +226,7 @@ class HandPage:
 
     def free(self, free: bool) -> None:
         """Let the sliders drive the hand, or only follow it."""
-        self._servos.label = FREE if free else DRIVEN
+        self._servos.label = "Servos [rad]" if free else "Servos [rad], read-only"
         self._all.visible = self._open.visible = free
         for slider in self.sliders:
             slider.disabled = not free
