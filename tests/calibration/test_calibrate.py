@@ -19,7 +19,7 @@ from hpac_gym.calibration.file_errors import (
 )
 from hpac_gym.calibration.identification import identify
 from hpac_gym.calibration.judging import judged
-from hpac_gym.calibration.record import FLEXING, REST, read_sweep, write_sweep
+from hpac_gym.calibration.record import FLEXING, REST, write_sweep
 from hpac_gym.model import HPAC, JOINT_INDEX, SERVOS
 from hpac_gym.model.settled import settled_joints_from_servo
 
@@ -30,20 +30,28 @@ def calibrate(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("hpac_gym.calibration.calibrate.save", lambda *_: None)
     monkeypatch.setattr("hpac_gym.calibration.calibrate.DRAWS", 2)
 
-    def run(record, *words):
+    def run(record, *words, second=None):
         path = tmp_path / "sweep.csv"
         write_sweep(path, record)
+        if second is not None:
+            write_sweep(tmp_path / "second.csv", second)
+            words += "--check", str(tmp_path / "second.csv")
         status = hpac.main(["calibrate", str(path), "--out", str(tmp_path / "hand.toml"), *words])
         return status, capsys.readouterr()
 
     return run
 
 
-def test_without_a_second_sweep_the_first_line_says_what_it_is(record, calibrate):
+def test_a_good_sweep_alone_has_no_remark_and_promises_nothing_about_commands(record, calibrate):
+    """An interval about a number that another combination explains as well would be a false one."""
     status, said = calibrate(record)
     assert (status, said.err) == (0, "")
     assert "at the held-out points of the same sweep (an error of camera or servos" in said.out
     assert "Remark" not in said.out
+    assert "| effective number | formula | design | found | determined by the data |" in said.out
+    assert "Effective g_CMC" in said.out
+    assert "interval |" not in said.out
+    assert "with 95 % confidence" not in said.out
 
 
 def test_a_place_that_cannot_be_written_to_is_told_before_the_fit(
@@ -83,8 +91,7 @@ def test_a_report_that_cannot_be_written_leaves_the_hand_file_as_it_was(
 
 
 def test_a_sweep_is_no_check_on_itself(record, calibrate, tmp_path):
-    write_sweep(tmp_path / "second.csv", record)
-    status, said = calibrate(record, "--check", str(tmp_path / "second.csv"))
+    status, said = calibrate(record, second=record)
     assert status == 2
     assert "second.csv is the same sweep; it must be a second one" in said.err
     assert not (tmp_path / "hand.toml").exists()
@@ -94,15 +101,13 @@ def test_a_check_measures_every_joint_that_the_sweep_does(record, calibrate, tmp
     """What the file does to the other joints would be in no bound."""
     monkeypatch.delattr("hpac_gym.calibration.calibrate.identify")
     second = record[record.swept != SERVOS.index("thumb_mp")]
-    write_sweep(tmp_path / "second.csv", with_last_rest(second, 0.01))
-    status, said = calibrate(record, "--check", str(tmp_path / "second.csv"))
+    status, said = calibrate(record, second=with_last_rest(second, 0.01))
     assert (status, said.out) == (2, "")
     assert "second.csv does not measure thumb_ip, thumb_mp: its bound is" in said.err
 
 
 def test_a_second_sweep_is_what_the_first_line_is_about(record, hidden, calibrate, tmp_path):
-    write_sweep(tmp_path / "second.csv", metal_sweeps([hidden], 2)[0])
-    status, said = calibrate(record, "--check", str(tmp_path / "second.csv"))
+    status, said = calibrate(record, second=metal_sweeps([hidden], 2)[0])
     assert status == 0
     report = json.loads((tmp_path / "hand-report" / "report.json").read_text())
     worst = report["expected_worst_deg"]
@@ -123,23 +128,13 @@ def test_the_expected_worst_joint_lies_between_the_largest_and_what_all_joints_l
     assert expected_worst_deg(alike) == pytest.approx(0.3 * np.sqrt(WORST_OF_JOINTS))
 
 
-def test_numbers_are_called_effective_and_have_no_interval(record, calibrate):
-    """An interval about a number that another combination explains as well would be a false one."""
-    _, said = calibrate(record)
-    assert "| effective number | formula | design | found | determined by the data |" in said.out
-    assert "Effective g_CMC" in said.out
-    assert "interval |" not in said.out
-    assert "with 95 % confidence" not in said.out
-
-
 def test_an_error_of_the_first_camera_shows_in_the_second_sweep_alone(
     record, hidden, calibrate, tmp_path
 ):
     """The reason for a second one: a camera whose scale is 3 % off fits itself."""
-    write_sweep(tmp_path / "second.csv", metal_sweeps([hidden], 2)[0])
     wrong = record.with_joint_pos(1.03 * record.joint_pos)
     alone = _worst(calibrate(wrong)[1].out)
-    checked = _worst(calibrate(wrong, "--check", str(tmp_path / "second.csv"))[1].out)
+    checked = _worst(calibrate(wrong, second=metal_sweeps([hidden], 2)[0])[1].out)
     assert alone < 0.15
     assert checked > 5 * alone
 
@@ -226,12 +221,11 @@ def test_rests_that_differ_by_a_cameras_drift_are_not_told(hidden, both_directio
 def test_a_camera_that_is_not_square_shows_in_the_second_sweep(record, hidden, calibrate, tmp_path):
     """Alone, the fit takes most of it for geometry, and tells the rest as scatter."""
     second = metal_sweeps([hidden], 2, servos=("index_mcp",))[0]
-    write_sweep(tmp_path / "second.csv", second)
     index = of_index(record)
     askew = index.with_joint_pos(index.joint_pos + np.deg2rad(2.5) * np.sin(2 * index.joint_pos))
     alone = calibrate(askew)[1].out
     assert "the points scatter" in alone
-    _, said = calibrate(askew, "--check", str(tmp_path / "second.csv"))
+    _, said = calibrate(askew, second=second)
     assert _worst(said.out) > 2.5 * _worst(alone)
     assert "the two sweeps differ by more than 1.5° in" in said.out
 
@@ -316,16 +310,3 @@ def test_a_spoiled_record_is_told_or_refused(record, calibrate, spoiled):
     status, said = calibrate(spoiled(record))
     assert status == (2 if spoiled in REFUSED else 0)
     assert all(words in (said.err if status else said.out) for words in SPOILED[spoiled])
-
-
-def test_a_good_record_is_told_none_of_it(record, calibrate):
-    status, said = calibrate(record)
-    assert status == 0
-    assert not any(words in said.out + said.err for says in SPOILED.values() for words in says)
-
-
-def test_a_byte_order_mark_is_read(record, tmp_path):
-    path = tmp_path / "sweep.csv"
-    write_sweep(path, record)
-    path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
-    assert len(read_sweep(path)) == len(record)

@@ -81,9 +81,10 @@ def test_columns_may_come_in_any_order_beside_others_and_comments(tmp_path, line
     assert (read(tmp_path, reordered).servo == read(tmp_path, lines).servo).all()
 
 
-def test_a_cell_may_be_quoted(tmp_path, lines):
-    quoted = [lines[0], *(",".join(f'"{cell}"' for cell in line.split(",")) for line in lines[1:])]
-    assert (read(tmp_path, quoted).servo == read(tmp_path, lines).servo).all()
+def test_cells_may_be_quoted_after_a_byte_order_mark(tmp_path, lines):
+    quoted = [",".join(f'"{cell}"' for cell in line.split(",")) for line in lines[1:]]
+    marked = read(tmp_path, ["\ufeff" + lines[0], *quoted])
+    assert (marked.servo == read(tmp_path, lines).servo).all()
 
 
 def test_segments_are_what_belongs_together_in_time():
