@@ -88,12 +88,11 @@ class Segment:
             known = ~np.isnan(angles[:, column])
             if not known.any():
                 continue
-            after = np.searchsorted(at[known], wanted).clip(1, max(known.sum() - 1, 1))
-            near = np.minimum(
-                *(np.abs(at[known][(after - i).clip(0, known.sum() - 1)] - wanted) for i in (0, 1))
-            )
-            angle = np.interp(wanted, at[known], angles[known, column])
-            joint_pos[:, JOINT_COLUMNS.index(name)] = np.where(near <= APART, angle, np.nan)
+            times = at[known]
+            place = np.interp(wanted, times, np.arange(len(times)))
+            near = np.abs(times[np.rint(place).astype(int)] - wanted) <= APART
+            angle = np.interp(wanted, times, angles[known, column])
+            joint_pos[:, JOINT_COLUMNS.index(name)] = np.where(near, angle, np.nan)
         if np.isnan(joint_pos[:, joints_of_servo(SERVO_INDEX[self.servo])]).all():
             raise RecordError(
                 f"angles {path}: none of the joints of {self.servo} within {APART:g} s of a sample"
@@ -148,20 +147,15 @@ def angles_in(path: Path, last: int = sys.maxsize) -> tuple[list[str], Array, Ar
         raise RecordError(f"angles {path}: {reason}") from None
     try:
         rows = list(csv.DictReader(line for line in lines if line.endswith("\n")))
-    except csv.Error as error:
-        raise RecordError(f"angles {path}: {error}") from None
-    names = [name for name in JOINT_COLUMNS if rows and name in rows[0]]
-    if not names or "time_s" not in rows[0]:
-        raise RecordError(
-            f"angles {path}: no rows with time_s and any of {', '.join(JOINT_COLUMNS[:2])} …"
-        )
-    try:
+        names = [name for name in JOINT_COLUMNS if rows and name in rows[0]]
+        if not names or "time_s" not in rows[0]:
+            raise ValueError(f"no rows with time_s and any of {', '.join(JOINT_COLUMNS[:2])} …")
         at = np.array([float(row["time_s"]) for row in rows])
         angles = np.array([[float(row[name] or "nan") for name in names] for row in rows])
-    except (TypeError, ValueError) as error:
+        if not (np.diff(at) > 0).all() or np.nanmax(np.abs(angles), initial=0.0) > np.pi:
+            raise ValueError("times must increase, and angles lie within ±π rad")
+    except (csv.Error, TypeError, ValueError) as error:
         raise RecordError(f"angles {path}: {error}") from None
-    if not (np.diff(at) > 0).all() or np.nanmax(np.abs(angles), initial=0.0) > np.pi:
-        raise RecordError(f"angles {path}: times must increase, and angles lie within ±π rad")
     return names, at, angles
 
 

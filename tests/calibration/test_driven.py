@@ -384,29 +384,19 @@ def test_the_last_rows_of_angles_are_read_without_the_others(tmp_path):
 # --- the file, and the command
 
 
-def test_segments_of_other_servos_and_trials_stay_in_the_file(tmp_path, index):
-    path = tmp_path / "sweep.csv"
-    write_sweep(path, added(path, index.segment))
-    again = Segment("index_mcp", 1, index.segment.labels, index.segment.time)
-    again.commanded = index.segment.commanded
-    write_sweep(path, added(path, again))
-    assert sorted(set(read_sweep(path).trial)) == [0, 1]
-    write_sweep(path, added(path, index.segment))
-    record = read_sweep(path)
-    assert len(record) == 2 * len(index.segment.time)
-    assert (record.swept == SERVO_INDEX["index_mcp"]).all()
-
-
-def test_a_segment_stands_where_the_old_one_stood(tmp_path, index):
+def test_a_segment_stands_where_the_old_one_stood_and_others_stay(tmp_path, index):
     """Between two others of one servo and trial, they would become one without it."""
     path = tmp_path / "sweep.csv"
     between = index.segment
     around = replace(index.segment, trial=1)
-    parts = [around.sweep(), between.sweep(), around.sweep()]
-    write_sweep(path, concatenate(parts))
+    write_sweep(path, added(path, between))
+    write_sweep(path, added(path, around))
+    assert sorted(read_sweep(path).trial) == [0] * len(between.time) + [1] * len(around.time)
+    write_sweep(path, concatenate([around.sweep(), between.sweep(), around.sweep()]))
     write_sweep(path, added(path, between))
     record = read_sweep(path)
     assert [int(record.trial[rows[0]]) for rows in record.segments()] == [1, 0, 1]
+    assert len(record) == 3 * len(between.time)
 
 
 @pytest.fixture
