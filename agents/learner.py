@@ -15,7 +15,6 @@ the actor maximises the likelihood of the trials that succeeded instead; the cri
 choose the episodes."""
 
 from collections import Counter
-from functools import cache
 
 import numpy as np
 import torch
@@ -237,13 +236,8 @@ def scripted_decisions(closures: Closures, seen: np.ndarray) -> np.ndarray:
     """Decisions for the closures of `ScriptedGraspType`, shape (n, m), on first observations of
     HPAC-GraspType-v0.
     """
-    return closures.decisions(_scripted_values())[seen[:, TYPE].argmax(axis=1)]
-
-
-@cache
-def _scripted_values() -> np.ndarray:
     values = []
     for start in (kind.start for kind in GRASP_TYPES.values()):
         goals, preshape = map(action_from_synergy, (start.closed, start.preshape))
         values.append([*goals, CLOSE_TIME * CONTROL_HZ, 0.0, *wrist_choice(start), *preshape])
-    return np.array(values)
+    return closures.decisions(np.array(values))[seen[:, TYPE].argmax(axis=1)]

@@ -1,6 +1,5 @@
 """Every mistake on a command line ends in one line on standard error and exit status 2."""
 
-import subprocess
 import sys
 from importlib import import_module
 from pathlib import Path
@@ -11,8 +10,8 @@ from agents.recipes import RECIPES
 from hpac import main as hpac
 from hpac_gym.command import run
 from tests.options import refused
+from tests.processes import python
 
-ROOT = Path(__file__).resolve().parents[2]
 TINY = "tests.tiny_task:Tiny-v0"
 GRASP = "grasp --out {folder}/run"
 
@@ -31,6 +30,9 @@ MISTAKES = [
     ("train", GRASP + " --set wing=3", "env is 'HPAC-Grasp-v0', and has no such option"),
     ("train", GRASP + " --set config.gap=3", "config gap = 3 must be a range"),
     ("train", GRASP + " --engine mujoco --set-ups mujoco/twin", "name one set-up"),
+    ("train", GRASP + " --set obs=deploy", "obs is 'deploy': a training of closures has its own"),
+    ("train", GRASP + " --set reward=sparse", "reward is 'sparse': a training of closures has"),
+    ("train", GRASP + " --set render_mode=human", "render_mode is 'human': a training of closures"),
     ("race", "sac --env HPAC-Posture-v1 --out {folder}/race", "its observation is not a vector"),
     ("train", GRASP + " --gamma 0.9", "unrecognized arguments: --gamma"),
     ("train", "grasp --out {folder}/file/run", "cannot write to folder"),
@@ -108,8 +110,7 @@ def test_a_mistake_ends_in_one_line_and_status_2(
 
 
 def test_the_whole_command_says_no_more_than_that_line(folder):
-    line = [sys.executable, "-m", "agents.train", "grasp-ppo", "--out", str(folder / "run")]
-    done = subprocess.run(line, cwd=ROOT, capture_output=True, text=True, check=False)
+    done = python("-m", "agents.train", "grasp-ppo", "--out", str(folder / "run"))
     assert done.returncode == 2
     assert (
         done.stderr

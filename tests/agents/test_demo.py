@@ -1,14 +1,11 @@
 import json
 import subprocess
-import sys
-from pathlib import Path
 
 import pytest
 
 from agents import demo
 from agents.demo import RESULTS
-
-ROOT = Path(__file__).resolve().parents[2]
+from tests.processes import python
 
 
 @pytest.mark.parametrize("status", [0, 2])
@@ -23,18 +20,8 @@ def test_the_results_before_are_kept_until_there_is_another_policy(tmp_path, mon
 
 @pytest.mark.slow
 def test_the_demo_goes_from_random_weights_to_the_wire(tmp_path):
-    line = [
-        sys.executable,
-        "-m",
-        "agents.demo",
-        "--out",
-        str(tmp_path),
-        "--minutes",
-        "0.4",
-        "--episodes",
-        "3",
-    ]
-    done = subprocess.run(line, cwd=ROOT, capture_output=True, text=True, check=False)
+    words = ("--out", str(tmp_path), "--minutes", "0.4", "--episodes", "3")
+    done = python("-m", "agents.demo", *words)
     assert done.returncode == 0, done.stderr
     assert all((tmp_path / name).stat().st_size for name in RESULTS)
     results = json.loads((tmp_path / "results.json").read_text())

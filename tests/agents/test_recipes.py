@@ -1,11 +1,10 @@
 import json
-from argparse import ArgumentParser
 from dataclasses import FrozenInstanceError, asdict
 
 import pytest
 
 from agents import RecipeError
-from agents.recipes import RECIPES, add_recipe, recipe_of, settings_of, with_settings
+from agents.recipes import RECIPES, settings_of, with_settings
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED, training_seed
 
 GRASP = RECIPES["grasp"]
@@ -85,13 +84,3 @@ def test_training_never_starts_from_a_held_out_seed(steps):
 
 def test_a_resumed_training_starts_from_other_seeds():
     assert len({training_seed(0, steps, 4) for steps in range(0, 100_000, 1000)}) > 90
-
-
-@pytest.mark.parametrize("option", ["obs=deploy", "reward=sparse", "render_mode=human"])
-def test_an_option_that_no_training_follows_is_refused(option):
-    parser = ArgumentParser()
-    add_recipe(parser)
-    args = parser.parse_args(["--set", option])
-    args.recipe = "grasp"
-    with pytest.raises(RecipeError, match=f"{option.partition('=')[0]} is .*has its own"):
-        recipe_of(args)

@@ -11,7 +11,6 @@ import re
 import signal
 import subprocess
 import sys
-import threading
 from pathlib import Path
 from shutil import copytree
 
@@ -119,41 +118,13 @@ def test_a_killed_and_resumed_training_ends_with_the_policy_of_an_uninterrupted_
 
 
 def test_a_killed_training_goes_on_from_its_last_checkpoint_and_an_interrupted_one_saves_itself(
-    tmp_path, capsys
+    tmp_path,
 ):
-    command = [
-        sys.executable,
-        "-m",
-        "agents.train",
-        "grasp",
-        "--out",
-        tmp_path,
-        "--episodes",
-        "100000",
-        *SMALL,
-    ]
-    process = subprocess.Popen(command, cwd=ROOT, stderr=subprocess.DEVNULL)
-    try:
-        wait_for(lambda: runs_of.latest_checkpoint(tmp_path) or process.poll() is not None, 600)
-    finally:
-        process.kill()
-        process.wait()
+    new = ["grasp", "--episodes", "100000", *SMALL]
+    ended_at_a_checkpoint(tmp_path, signal.SIGKILL, *new)
     killed = state_of(tmp_path)
-    kept = runs_of.latest_checkpoint(tmp_path)
-    handlers = [(number, signal.getsignal(number)) for number in (signal.SIGINT, signal.SIGTERM)]
-    over = threading.Event()
-    interrupt = threading.Thread(
-        target=interrupt_after, args=[lambda: runs_of.latest_checkpoint(tmp_path) != kept, over]
-    )
-    interrupt.start()
-    try:
-        assert train.main(["--out", str(tmp_path), "--resume"]) == 130
-    finally:
-        over.set()
-        interrupt.join()
-        for number, handler in handlers:
-            signal.signal(number, handler)
-    assert capsys.readouterr().err.splitlines()[-1].startswith("interrupted after")
+    status, said = ended_at_a_checkpoint(tmp_path, signal.SIGINT, "--resume")
+    assert (status, said[-1].split(" after")[0]) == (130, "interrupted")
     interrupted = state_of(tmp_path)
     aim = interrupted["episodes"] + 12
     train_here("--out", tmp_path, "--resume", "--episodes", aim)
@@ -168,15 +139,19 @@ def test_a_killed_training_goes_on_from_its_last_checkpoint_and_an_interrupted_o
     assert steps == sorted(set(steps)), "the rows after the checkpoint were taken back"
 
 
-def interrupt_after(condition, over: threading.Event) -> None:
-    """Interrupt the training of this process once something holds, or does not come; nothing if the
-    training is over.
-    """
+def ended_at_a_checkpoint(folder: Path, number: signal.Signals, *words) -> tuple[int, list[str]]:
+    """Exit status and lines of a training that gets a signal after its next checkpoint."""
+    kept = runs_of.latest_checkpoint(folder)
+    command = [sys.executable, "-m", "agents.train", "--out", folder, *words]
+    process = subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True)
     try:
-        wait_for(lambda: condition() or over.is_set(), 600)
+        wait_for(
+            lambda: runs_of.latest_checkpoint(folder) != kept or process.poll() is not None, 600
+        )
     finally:
-        if not over.is_set():
-            os.kill(os.getpid(), signal.SIGINT)
+        process.send_signal(number)
+        said = process.communicate()[1]
+    return process.returncode, said.splitlines()
 
 
 def state_of(folder: Path) -> dict:

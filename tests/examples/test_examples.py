@@ -3,11 +3,8 @@ notebook and the settings for RL Zoo do what they say.
 """
 
 import json
-import os
 import re
 import shutil
-import subprocess
-import sys
 from inspect import signature
 from pathlib import Path
 
@@ -17,6 +14,7 @@ import yaml
 
 import hpac_gym
 from hpac_gym.policies.loading import load_policy
+from tests.processes import python
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 NOTEBOOK = EXAMPLES / "quickstart.ipynb"
@@ -52,9 +50,8 @@ def test_an_example_trains_a_policy_wherever_it_is_copied(name, words, tmp_path)
     only_the_package = tmp_path / "package"
     only_the_package.mkdir()
     (only_the_package / "hpac_gym").symlink_to(Path(hpac_gym.__file__).parent)
-    env = os.environ | {"PYTHONPATH": str(only_the_package)}
-    line = [sys.executable, f"{name}.py", "--out", "run", *words]
-    done = subprocess.run(line, cwd=tmp_path, env=env, capture_output=True, text=True, check=False)
+    line = (f"{name}.py", "--out", "run", *words)
+    done = python(*line, folder=tmp_path, PYTHONPATH=str(only_the_package))
     assert done.returncode == 0, done.stderr
     written = tmp_path / "run" / WRITES[name]
     assert done.stdout.splitlines()[-1] == str(written.relative_to(tmp_path))
@@ -71,13 +68,7 @@ def test_the_notebook_runs_and_holds_no_outputs(tmp_path):
     ]
     assert not any(cell["outputs"] for cell in cells)
     program = "\n".join("".join(cell["source"]) for cell in cells)
-    done = subprocess.run(
-        [sys.executable, "-c", f"import matplotlib; matplotlib.use('agg')\n{program}"],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = python("-c", program, folder=tmp_path, MPLBACKEND="agg")
     assert done.returncode == 0, done.stderr
     outcome, learned, scripted, terms = done.stdout.splitlines()
     assert outcome.startswith("success held for")
