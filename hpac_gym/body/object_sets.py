@@ -137,5 +137,4 @@ def resting_pose(
 
 def _entries(table: dict[str, dict[str, Any]]) -> dict[str, tuple[ObjectModel, float]]:
     """Objects of a file and their friction."""
-    friction = {name: entry.pop("friction") for name, entry in table.items()}
-    return {name: (object_model(name, entry), friction[name]) for name, entry in table.items()}
+    return {name: (object_model(name, entry), entry["friction"]) for name, entry in table.items()}

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hpac_gym.body.geometry import table_of
-from hpac_gym.body.object_models import SOURCE_FIELDS, load_object_models
+from hpac_gym.body.object_models import FIELDS, SOURCE_FIELDS, load_object_models
 from hpac_gym.body.object_sets import (
     SPAN,
     SPLITS,
@@ -81,16 +81,36 @@ def test_held_out_objects_are_partly_of_families_that_training_has_not():
     assert sum(thing.model.about in NEW_FAMILIES for thing in SETS["test"]) == 30
 
 
+@pytest.mark.parametrize(
+    ("file", "fields"),
+    [
+        ("objects", FIELDS | SOURCE_FIELDS),
+        ("held_out_objects", FIELDS),
+        ("real_objects", FIELDS | SOURCE_FIELDS | {"friction"}),
+        ("procedural_objects", FIELDS | {"friction"}),
+    ],
+)
+def test_an_object_in_a_file_has_its_fields_and_kinds_of_solids(file, fields):
+    kinds = {"box", "cylinder", "sphere", "capsule", "ring"}
+    for name, entry in table_of(f"{file}.toml").items():
+        if name != "friction_of_named_objects":
+            assert entry.keys() == fields, name
+            assert {solid["kind"] for solid in entry["solids"]} <= kinds, name
+
+
 def test_objects_are_bodies_that_there_can_be():
-    """Positive mass; moments of inertia of which none is more than the sum of both others; mass
-    centre inside.
+    """Positive mass, which is that of the solids; moments of inertia of which none is more than the
+    sum of both others; mass centre inside; middle at the origin.
     """
     for name, model in (
         {thing.name: thing.model for thing in EVERY} | load_object_models()
     ).items():
         moments = np.linalg.eigvalsh(model.inertia)
         (low, high) = model.bounds
-        assert min(solid.mass for solid in model.solids) > 0, name
+        masses = [solid.mass for solid in model.solids]
+        assert min(masses) > 0, name
+        assert sum(masses) == pytest.approx(model.mass, rel=1e-6), name
+        np.testing.assert_allclose(high + low, 0.0, atol=2e-4, err_msg=name)
         assert moments[0] > 0, name
         assert moments[2] <= (moments[0] + moments[1]) * (1 + 1e-9), name
         assert (model.center_of_mass > low).all(), name
@@ -185,7 +205,6 @@ def test_real_objects_are_within_five_percent_of_what_their_sources_print():
 
 def test_most_real_objects_have_all_their_measures_from_a_source():
     assert len(SOURCES) == 53
-    assert all(entry.keys() > SOURCE_FIELDS for entry in SOURCES.values())
     assert sum(entry["published"].keys() == MEASURES for entry in SOURCES.values()) >= 35
 
 

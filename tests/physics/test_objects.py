@@ -14,10 +14,9 @@ pytest.importorskip("pybullet")
 
 import pybullet
 
-from hpac_gym.body.object_models import ObjectModel, load_object_models, object_model
+from hpac_gym.body.object_models import ObjectModel, load_object_models
 from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.envs.randomization import PRESETS, changed_setup
-from hpac_gym.errors import ParameterError
 from hpac_gym.physics.pybullet.objects import SimObject, add_fixed_box
 from hpac_gym.physics.pybullet.scene import Scene
 from hpac_gym.physics.pybullet.world import World
@@ -82,33 +81,6 @@ def test_a_hexagonal_bar_has_the_inertia_of_a_solid_one():
     side = 0.0340 * 2 / np.sqrt(3)
     assert puck.inertia[2, 2] == pytest.approx(5 / 12 * puck.mass * side**2, rel=0.02)
     assert puck.inertia[0, 0] == pytest.approx(puck.inertia[1, 1])
-
-
-SIDES = [0.02, 0.02, 0.02]
-BLOCK = {
-    "about": "a block",
-    "source": "a catalogue",
-    "size": SIDES,
-    "mass": 0.02,
-    "shape": "box",
-    "color": [1, 1, 1, 1],
-    "solids": [{"kind": "box", "mass": 0.02, "size": SIDES}],
-}
-
-
-@pytest.mark.parametrize(
-    ("changed", "message"),
-    [
-        ({"width": 0.02}, "fields width are missing or unknown"),
-        ({"solids": [{"kind": "cone", "mass": 0.02}]}, "bad solid: kind 'cone'"),
-        ({"solids": [{"kind": "box", "mass": 0.02}]}, "bad solid: 'size'"),
-        ({"mass": 0.03}, "solids of block weigh 0.02 kg, the object 0.03 kg"),
-    ],
-)
-def test_a_bad_object_file_is_refused_by_name(changed: dict, message: str):
-    assert object_model("block", BLOCK).size == tuple(SIDES)
-    with pytest.raises(ParameterError, match=message):
-        object_model("block", BLOCK | changed)
 
 
 @pytest.fixture(scope="module")
