@@ -80,46 +80,55 @@ def running(*words, **variables):
 # --- in real time
 
 
+@pytest.fixture
+def board():
+    with HostBoard() as started:
+        yield started
+
+
+@pytest.fixture
+def hand(env, board):
+    with closing(Virtual(Body(env, 3), board, blind=60.0)) as made:
+        yield made
+
+
 @pytest.mark.parametrize("outcome", [SUCCESS, RUNNING])
-def test_the_object_is_back_when_the_arm_is_asked_to_be_ready_after_an_episode(env, outcome):
+def test_the_object_is_back_when_the_arm_is_asked_to_be_ready_after_an_episode(hand, outcome):
     """Also where the hand has kept its power since; during an episode it is not moved."""
-    with HostBoard() as board, closing(Virtual(Body(env, 3), board)) as hand:
-        start = hand.body.state().object_pos[0].copy()
-        state = hand.body.setup
-        hand.body.place(replace(state, position=state.position + np.array([0.0, 0.0, 0.03])))
-        hand.body.setup = state
-        hand.body.outcome = outcome
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as program:
-            program.sendto(b'{"hpac_arm": 1, "phase": "ready"}', ("127.0.0.1", hand.arm_port))
-            hand.turn()
-        back = np.linalg.norm(hand.body.state().object_pos[0] - start) < 0.01
-        assert back == (outcome == SUCCESS)
-
-
-def test_an_episode_begins_after_one_that_was_given_up_before_the_hand_closed(env):
-    with HostBoard() as board, closing(Virtual(Body(env, 3), board, blind=60.0)) as hand:
-        program = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        with program, HandLink(board.connect) as link:
-            for episode in (1, 2):
-                link.arm(watchdog=2.0)
-                for _ in range(3):
-                    program.sendto(b'{"hpac_arm": 1, "phase": "ready"}', ("", hand.arm_port))
-                    hand.turn()
-                assert (hand._episodes, hand.body._powered) == (episode, True)
-                assert hand._seen_until < np.inf
-                link.clear()
-                hand._due = 0.0
-                hand.turn()
-                assert hand._seen_until == np.inf
-
-
-def test_a_virtual_hand_whose_board_was_killed_says_so(env):
-    with HostBoard() as board, closing(Virtual(Body(env, 3), board)) as hand:
+    start = hand.body.state().object_pos[0].copy()
+    state = hand.body.setup
+    hand.body.place(replace(state, position=state.position + np.array([0.0, 0.0, 0.03])))
+    hand.body.setup = state
+    hand.body.outcome = outcome
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as program:
+        program.sendto(b'{"hpac_arm": 1, "phase": "ready"}', ("127.0.0.1", hand.arm_port))
         hand.turn()
-        board.process.kill()
-        board.process.wait()
-        with pytest.raises(PortError, match=f"{board.port}: the board behind it has ended"):
+    back = np.linalg.norm(hand.body.state().object_pos[0] - start) < 0.01
+    assert back == (outcome == SUCCESS)
+
+
+def test_an_episode_begins_after_one_that_was_given_up_before_the_hand_closed(hand, board):
+    program = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    with program, HandLink(board.connect) as link:
+        for episode in (1, 2):
+            link.arm(watchdog=2.0)
+            for _ in range(3):
+                program.sendto(b'{"hpac_arm": 1, "phase": "ready"}', ("", hand.arm_port))
+                hand.turn()
+            assert (hand._episodes, hand.body._powered) == (episode, True)
+            assert hand._seen_until < np.inf
+            link.clear()
+            hand._due = 0.0
             hand.turn()
+            assert hand._seen_until == np.inf
+
+
+def test_a_virtual_hand_whose_board_was_killed_says_so(hand, board):
+    hand.turn()
+    board.process.kill()
+    board.process.wait()
+    with pytest.raises(PortError, match=f"{board.port}: the board behind it has ended"):
+        hand.turn()
 
 
 class Page:
@@ -143,60 +152,57 @@ class Page:
         self.said = shown.text
 
 
-def test_the_page_tells_what_came_of_its_red_button_until_a_program_drives_again(env, monkeypatch):
+def test_the_page_tells_what_came_of_its_red_button_until_a_program_drives_again(
+    hand, board, monkeypatch
+):
     monkeypatch.setattr(bridge_stop, "PATIENCE", 0.3)
-    with HostBoard() as board, closing(Virtual(Body(env, 3), board)) as hand:
-        hand.page = Page()
+    hand.page = Page()
 
-        def said():
-            for _ in range(3):
-                hand.turn()
-            return hand.page.said
-
-        def drive():
-            with HandLink(board.connect) as link:
-                link.clear()
-                link.arm(watchdog=2.0)
-                assert said() == "A program drives the hand. "
-                hand.estop()
-                return said()
-
-        assert said() == "The sliders drive the hand. "
-        assert (
-            drive() == drive() == f"Stopped: fault estop until `hpac clear --port {board.port}`. "
-        )
-        board.process.send_signal(signal.SIGSTOP)
-        hand.estop()
-        assert said().startswith("Stop NOT CONFIRMED: switch the supply off. no answer to estop")
-        assert hand.page.is_free
-        board.process.send_signal(signal.SIGCONT)
-
-
-def test_a_page_stops_a_board_that_has_restarted_at_another_port(env):
-    with HostBoard() as board, closing(Virtual(Body(env, 3), board)) as hand:
-        before = board.port
-        board.__exit__()
-        occupied = os.openpty()
-        board.__enter__()
-        assert board.port != before
-        hand.estop()
-        assert hand.stopped.startswith("Stopped: fault estop")
-        for end in occupied:
-            os.close(end)
-
-
-def test_the_page_s_button_puts_the_object_back_once(env):
-    with HostBoard() as board, closing(Virtual(Body(env, 3), board)) as hand:
-        hand.page = Page()
-        setup = hand.body.setup
-        hand.body.place(replace(setup, position=setup.position + np.array([0.0, 0.0, 0.03])))
-        hand.body.setup = setup
-        hand.page.object_back.set()
+    def said():
         for _ in range(3):
             hand.turn()
-        start = Body(env, 3, setup).state().object_pos[0]
-        assert not hand.page.object_back.is_set()
-        assert np.linalg.norm(hand.body.state().object_pos[0] - start) < 0.01
+        return hand.page.said
+
+    def drive():
+        with HandLink(board.connect) as link:
+            link.clear()
+            link.arm(watchdog=2.0)
+            assert said() == "A program drives the hand. "
+            hand.estop()
+            return said()
+
+    assert said() == "The sliders drive the hand. "
+    assert drive() == drive() == f"Stopped: fault estop until `hpac clear --port {board.port}`. "
+    board.process.send_signal(signal.SIGSTOP)
+    hand.estop()
+    assert said().startswith("Stop NOT CONFIRMED: switch the supply off. no answer to estop")
+    assert hand.page.is_free
+    board.process.send_signal(signal.SIGCONT)
+
+
+def test_a_page_stops_a_board_that_has_restarted_at_another_port(hand, board):
+    before = board.port
+    board.__exit__()
+    occupied = os.openpty()
+    board.__enter__()
+    assert board.port != before
+    hand.estop()
+    assert hand.stopped.startswith("Stopped: fault estop")
+    for end in occupied:
+        os.close(end)
+
+
+def test_the_page_s_button_puts_the_object_back_once(env, hand):
+    hand.page = Page()
+    setup = hand.body.setup
+    hand.body.place(replace(setup, position=setup.position + np.array([0.0, 0.0, 0.03])))
+    hand.body.setup = setup
+    hand.page.object_back.set()
+    for _ in range(3):
+        hand.turn()
+    start = Body(env, 3, setup).state().object_pos[0]
+    assert not hand.page.object_back.is_set()
+    assert np.linalg.norm(hand.body.state().object_pos[0] - start) < 0.01
 
 
 def test_what_is_typed_against_a_virtual_hand_holds_the_object(tmp_path):
@@ -553,15 +559,14 @@ def test_a_wire_loses_damages_and_delays_whole_frames():
     ],
     ids=range(16),
 )
-def test_what_is_no_packet_moves_no_arm(env, wrong):
-    with HostBoard() as board, closing(Virtual(Body(env, 3), board)) as hand:
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as program:
-            program.connect(("127.0.0.1", hand.arm_port))
-            program.send(b'{"hpac_arm": 1, "phase": "ready"}')
-            program.send(wrong)
-            hand._hear(0)
-            program.settimeout(5)
-            assert json.loads(program.recv(4096)) == {"hpac_arm": 1, "ready": True}
-        assert hand.body._began_us is None
-        assert hand.body._path._told == {}
-        hand.turn()
+def test_what_is_no_packet_moves_no_arm(hand, wrong):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as program:
+        program.connect(("127.0.0.1", hand.arm_port))
+        program.send(b'{"hpac_arm": 1, "phase": "ready"}')
+        program.send(wrong)
+        hand._hear(0)
+        program.settimeout(5)
+        assert json.loads(program.recv(4096)) == {"hpac_arm": 1, "ready": True}
+    assert hand.body._began_us is None
+    assert hand.body._path._told == {}
+    hand.turn()
