@@ -254,11 +254,7 @@ def _handshake_error(exchange: Exchange, patience: float) -> HandshakeError:
         return HandshakeError(
             f"the hand speaks protocol {heard.other_version}, this library {VERSION}: update one of them"
         )
-    what = (
-        f"{heard.received_bytes} bytes received that are no answer"
-        if heard.received_bytes
-        else "silence"
-    )
+    what = f"{len(heard.tail)} bytes received that are no answer" if heard.tail else "silence"
     what = "an echo of what is sent" if exchange.host_frames else what
     return HandshakeError(
         f"no hand answered within {patience:g} s ({what}); run `hpac doctor` for details"

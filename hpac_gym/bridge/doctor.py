@@ -84,7 +84,7 @@ def diagnose(name: str, port: str | Callable[[], Transport], hand: Hand = HPAC) 
         return _judge(name, info, HandStatus.from_frame(answer), statistics, hand)
     except LinkTimeout:
         if exchange.host_frames:
-            what = f"an echo: what is sent comes back ({exchange.splitter.received_bytes} bytes)"
+            what = f"an echo: what is sent comes back ({len(exchange.splitter.tail)} bytes)"
             advice = "take off a jumper between TX and RX, or switch the device's echo off"
             return Finding(name, False, what, advice)
         return _unanswered(name, exchange.splitter)

@@ -141,13 +141,11 @@ class FrameSplitter:
     """Splits a byte stream at its zeros; pieces that are not valid frames are dropped.
 
     Attributes:
-        received_bytes: number of bytes received.
-        tail: the last 4,096 of them.
+        tail: the last 4,096 bytes received.
         other_version: protocol version of the last intact frame of another version, or None.
     """
 
     def __init__(self) -> None:
-        self.received_bytes = 0
         self.tail = b""
         self.other_version: int | None = None
         self._pending = b""
@@ -155,7 +153,6 @@ class FrameSplitter:
     def push(self, data: bytes) -> list[tuple[bytes, Frame]]:
         """Process received bytes; returns each complete frame, preceded by its encoded bytes."""
         frames = []
-        self.received_bytes += len(data)
         self.tail = (self.tail + data)[-_TAIL_MAX:]
         *pieces, rest = (self._pending + data).split(b"\0")
         # One byte more than a frame has: a flood without zeros is no frame, and fills no memory.

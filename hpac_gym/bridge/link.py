@@ -177,7 +177,7 @@ class HandLink(Line):
         """
         connection = self._connected()
         deadline = self._now() + seconds
-        was_armed = connection.known.armed
+        was_armed = connection.known.state == "armed"
         period = connection.watchdog / _HEARTBEATS_PER_WATCHDOG if was_armed else math.inf
         while (left := deadline - self._now()) > 0:
             due = connection.fed_at + period

@@ -202,11 +202,6 @@ class KnownState:
             self.may_have_power = not _without_pulses(frame, answered)
 
     @property
-    def armed(self) -> bool:
-        """Whether the hand has reported that it is armed."""
-        return self.state == State.armed.name
-
-    @property
     def in_fault(self) -> bool:
         """Whether the hand has reported a latched fault."""
         return self.state == State.fault.name

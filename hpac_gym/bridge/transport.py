@@ -16,6 +16,8 @@ from hpac_gym.bridge.protocol import CONSTANTS
 
 READ_SIZE = 4096
 """Bytes that end a read though more may wait."""
+_WRITE_TIMEOUT = 1.0
+"""A port that accepts no bytes for this long is considered gone [s]."""
 _MISSED_MAX = 50
 _MISSED_WAIT = 1e-3
 """Reads in a row that may find no bytes though there were some, and the time between them [s]."""
@@ -51,27 +53,20 @@ class SerialTransport(Transport):
     Args:
         port: `/dev/ttyUSB0`, `COM3`, the path of a pseudo-terminal, `socket://HOST:PORT`, or any
             URL that pyserial takes.
-        write_timeout: a port that accepts no bytes for this long is considered gone [s].
         lock: refuse, and be refused by, other programs.
 
     Raises:
         PortError: The port does not exist, access is denied, or another program uses it.
     """
 
-    def __init__(
-        self,
-        port: str,
-        baud: int = CONSTANTS["baud"],
-        write_timeout: float = 1.0,
-        lock: bool = True,
-    ) -> None:
+    def __init__(self, port: str, lock: bool = True) -> None:
         self.port = port
         self._missed = 0
         try:
             self._serial = serial.serial_for_url(
-                port, do_not_open=True, timeout=0, write_timeout=write_timeout
+                port, do_not_open=True, timeout=0, write_timeout=_WRITE_TIMEOUT
             )
-            self._serial.baudrate = baud
+            self._serial.baudrate = CONSTANTS["baud"]
             self._serial.dtr = False
             self._serial.rts = False
             self._serial.exclusive = lock

@@ -121,16 +121,11 @@ def test_only_an_answer_that_says_so_means_no_power(frame, answered, may_have_po
 def test_a_fault_is_known_until_the_hand_says_otherwise():
     known = KnownState()
     known.take_in(Frame("fault", 0, 0, {"fault": Fault.overload, "servo": 1, "uptime_ms": 5}))
-    assert (known.state, known.fault, known.in_fault, known.armed) == (
-        "fault",
-        "overload",
-        True,
-        False,
-    )
+    assert (known.state, known.fault, known.in_fault) == ("fault", "overload", True)
     known.take_in(ack(State.fault, Reason.state))
     assert known.fault == "overload"
     known.take_in(ack(State.armed))
-    assert (known.fault, known.in_fault, known.armed) == ("none", False, True)
+    assert (known.fault, known.in_fault, known.state) == ("none", False, "armed")
     known.forget()
     assert (known.state, known.fault, known.may_have_power) == ("boot", "none", True)
 

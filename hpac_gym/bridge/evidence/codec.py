@@ -36,19 +36,16 @@ def unseal(piece: bytes) -> tuple[bytes, bool] | None:
     """Header and payload of a piece between two zeros, and whether its CRC is right; None if it is
     not COBS or too short.
     """
-    data = bytearray()
-    at = 0
-    while at < len(piece):
-        step = piece[at]
-        if at + step > len(piece):
+    runs = []
+    while piece:
+        if piece[0] > len(piece):
             return None
-        data += piece[at + 1 : at + step]
-        at += step
-        if at < len(piece):
-            data.append(0)
+        runs.append(piece[1 : piece[0]])
+        piece = piece[piece[0] :]
+    data = b"\0".join(runs)
     if len(data) < 9:
         return None
-    return bytes(data[:-4]), zlib.crc32(data[:-4]) == struct.unpack("<I", data[-4:])[0]
+    return data[:-4], zlib.crc32(data[:-4]) == struct.unpack("<I", data[-4:])[0]
 
 
 @dataclass(frozen=True, slots=True)

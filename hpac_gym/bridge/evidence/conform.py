@@ -18,6 +18,7 @@ from hpac_gym.bridge.transport import Transport
 from hpac_gym.model import HPAC, Hand
 
 RULES = FRAME_RULES | MOTION_RULES | STOP_RULES
+"""In the order of the document."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -180,4 +180,3 @@ MOTION_RULES: dict[str, Callable[[Device], None]] = {
     "a MOVE from before CLEAR is refused": _repeat_after_clear,
     "no ACK where none is wanted, refusals always": _no_ack,
 }
-"""In the order of the document."""

@@ -174,7 +174,6 @@ def _clear(d: Device) -> None:
         later.servo == status.servo,
         f"after CLEAR the commanded pose goes on from {status.servo} to {later.servo}",
     )
-    d.must(Reason.ok, wire.CLEAR, OURS, "in IDLE")
 
 
 def _periodic(d: Device) -> None:
@@ -237,4 +236,3 @@ STOP_RULES: dict[str, Callable[[Device], None]] = {
     "periodic STATUS": _periodic,
     "counters": _counters,
 }
-"""In the order of the document."""
