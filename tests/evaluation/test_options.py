@@ -9,7 +9,7 @@ import hpac
 from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.errors import ParameterError
 from hpac_gym.evaluation.environment import make_env
-from hpac_gym.evaluation.options import OPTIONS, add_env_options, env_options, object_of
+from hpac_gym.evaluation.options import OPTIONS, add_env_options, env_options, object_of, with_set
 
 GRASP = "HPAC-Grasp-v0"
 
@@ -31,6 +31,8 @@ def test_a_weight_is_set_by_the_path_of_its_name():
     with make_env(GRASP, engine="mujoco", **found) as env:
         config = env.unwrapped.task.config
         assert (config.weights.effort, config.gap) == (-0.1, (0.01, 0.02))
+    assert with_set(found, ["config.gap=1"])["config"]["gap"] == 1
+    assert found["config"]["gap"] == [0.01, 0.02], "what was given before stays as it is"
 
 
 @pytest.mark.parametrize(
