@@ -7,19 +7,17 @@ import sys
 from collections.abc import Sequence
 
 import numpy as np
-from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
 from hpac_gym.body.object_sets import SPLITS
 from hpac_gym.command import command_parser, run, whole_number
-from hpac_gym.envs.episodes import Episodes
-from hpac_gym.envs.options import checked_options
+from hpac_gym.envs import HandVectorEnv
+from hpac_gym.evaluation.episodes import run_episodes
 from hpac_gym.evaluation.seeds import BENCHMARK_SEED
 from hpac_gym.evaluation.statistics import rate_text
 from hpac_gym.policies import Closures
-from hpac_gym.progress import progress
+from hpac_gym.policies.policy import LearnedPolicy
 from hpac_gym.tasks.grasp_any import GraspAny, GraspAnyConfig
-from hpac_gym.tasks.task import CONTROL_HZ, RUNNING, SUCCESS
 
 LOWEST = np.array([-0.5, 0.2, 0.2, 0.2, 0.2, -0.25, 10.0, -6.0])
 HIGHEST = np.array([0.8, 1.0, 1.0, 1.0, 1.0, 0.8, 28.0, 12.0])
@@ -38,30 +36,22 @@ class Player:
 
     def __init__(self, objects: str, count: int = 64) -> None:
         self.count = count
-        config = GraspAnyConfig(side_time=0.05, ramp_time=0.05)
-        self.task = GraspAny(objects, config=config)
-        self._episodes = Episodes(self.task, count, checked_options(engine="mujoco"))
+        task = GraspAny(objects, config=GraspAnyConfig(side_time=0.05, ramp_time=0.05))
+        self._envs = HandVectorEnv(task, count, "Disabled", engine="mujoco")
 
     def play(self, seeds: Sequence[int], decisions: NDArray) -> NDArray[np.bool_]:
         """Run the episodes of seeds, each with the closure of its decision, shape (len(seeds), 8),
         and return their successes, shape (len(seeds),).
         """
         won = np.zeros(len(seeds), bool)
-        count = self.count
-        for first in progress(range(0, len(seeds), count), "episodes"):
-            part = range(first, min(first + count, len(seeds)))
-            drawn = [*part, *[first] * (count - len(part))]  # surplus worlds repeat the first seed
-            self._episodes.reset(
-                list(range(count)), [seeding.np_random(int(seeds[place]))[0] for place in drawn]
-            )
-            over = np.zeros(count, bool)
-            for step in range(round(self.task.duration * CONTROL_HZ)):
-                actions = CLOSURES.actions(decisions[drawn], np.full(count, step))
-                self._episodes.step(actions.astype(np.float32))
-                won[drawn] |= (self._episodes.outcome == SUCCESS) & ~over
-                over |= self._episodes.outcome != RUNNING
-                if over.all():
-                    break
+        waiting = iter(decisions)
+        policy = LearnedPolicy(lambda _: next(waiting), closures=CLOSURES)
+        places = iter(range(len(seeds)))
+        playing = [0] * self.count
+        for step in run_episodes(self._envs, [policy] * self.count, seeds):
+            if step.number == 0:
+                playing[step.world] = next(places)
+            won[playing[step.world]] |= step.success
         return won
 
 
