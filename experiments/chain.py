@@ -87,19 +87,9 @@ def slack_hand(seed: int) -> Hand:
 
 
 HELD_OUT = [variant for variant in hand_set("test") if (FILES / f"{variant.name}.toml").exists()]
-
-
-def held_out_hand(seed: int) -> Hand:
-    """The tendons of one of the seven held-out hands that can be calibrated."""
-    return held_out_truth(HELD_OUT[seed % len(HELD_OUT)])
-
-
-POPULATIONS = {
-    "nominal hand": nominal_hand,
-    "workshop": workshop_hand,
-    "workshop, slack": slack_hand,
-    "held-out hands": held_out_hand,
-}
+"""The seven held-out hands that can be calibrated."""
+DRAWN = {"nominal hand": nominal_hand, "workshop": workshop_hand, "workshop, slack": slack_hand}
+POPULATIONS = (*DRAWN, "held-out hands")
 
 
 def calibrated(population: str, seed: int) -> tuple[Hand, Hand]:
@@ -108,10 +98,11 @@ def calibrated(population: str, seed: int) -> tuple[Hand, Hand]:
     Raises:
         RecordError: `hpac calibrate` refuses the record.
     """
-    hand = POPULATIONS[population](seed)
-    if population == "held-out hands":
-        return hand, load_hand(FILES / f"{HELD_OUT[seed % len(HELD_OUT)].name}.toml")
-    return hand, identify(swept(hand, seed)).hand
+    if population in DRAWN:
+        hand = DRAWN[population](seed)
+        return hand, identify(swept(hand, seed)).hand
+    variant = HELD_OUT[seed % len(HELD_OUT)]
+    return held_out_truth(variant), load_hand(FILES / f"{variant.name}.toml")
 
 
 def swept(hand: Hand, seed: int) -> Sweep:

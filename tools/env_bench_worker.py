@@ -9,6 +9,7 @@ import json
 import os
 import sys
 import warnings
+from functools import partial
 from time import perf_counter, process_time
 from typing import Any
 
@@ -37,21 +38,14 @@ class Stopwatch:
         self.inside = 0.0
 
     def __getattr__(self, name: str) -> Any:
-        return getattr(self._engine, name)
+        found = getattr(self._engine, name)
+        return partial(self._timed, found) if name in ("advance", "state") else found
 
     def _timed(self, call: Any, *arguments: Any) -> Any:
         start = process_time()
         result = call(*arguments)
         self.inside += process_time() - start
         return result
-
-    def advance(self, *tables: Any) -> None:
-        """As the engine's."""
-        self._timed(self._engine.advance, *tables)
-
-    def state(self) -> Any:
-        """As the engine's."""
-        return self._timed(self._engine.state)
 
 
 class Hands:

@@ -23,10 +23,9 @@ MIN_DIFFERENCE = 0.10
 real one, by more than this share in at least one measure.
 """
 TRAIN_OF_EACH = 10
-KNOWN_OF_EACH = 1
 NEW_OF_EACH = 5
-"""Training objects of a family; held-out ones of a training family; held-out ones of a family that
-has no training object.
+"""Training objects of a family, of which there is one held-out object too; held-out ones of a family
+that has no training object.
 """
 PLAIN_OF_EACH = {"plain cylinder": 90, "plain block": 80, "plain ball": 30}
 """Plain solids (chosen)."""
@@ -109,8 +108,7 @@ def draw() -> dict[str, dict[str, Any]]:
         name = f"train_{index:03d}"
         drawn[name], model = fitting_entry(name, family, rng)
         trained.append(model)
-    held_out = [family for family in FAMILIES for _ in range(KNOWN_OF_EACH)]
-    held_out += [family for family in NEW_FAMILIES for _ in range(NEW_OF_EACH)]
+    held_out = [*FAMILIES, *(family for family in NEW_FAMILIES for _ in range(NEW_OF_EACH))]
     for index, family in enumerate(held_out):
         name = f"test_{index:02d}"
         drawn[name], _ = fitting_entry(name, family, rng, trained)

@@ -5,8 +5,6 @@ Run it after a change to the body and copy the printed postures to
 ``hpac_gym/body/data/geometry.toml``. The search varies thumb MP, CMC and the finger's MCP; the
 other joints follow on the elastic manifold, so the six servos can reach every posture found."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.optimize import least_squares
 
@@ -20,23 +18,9 @@ _STARTS = ((0.6, 0.3, 0.6), (1.0, 0.4, 0.8), (1.4, 0.6, 0.8))
 _SAMPLES = np.linspace(0.0, 1.0, 101)[:, None]
 
 
-@dataclass(frozen=True, slots=True)
-class Opposition:
-    """Posture in which the thumb opposes a finger."""
-
-    synergy: Array
-    """Synergy, shape (6,) [rad]."""
-    gap: float
-    """Distance between the surfaces of the two distal links, negative if they overlap [m]."""
-    pad_distance: float
-    """Distance between the centres of the two pads [m]."""
-    pad_angle: float
-    """Angle between one pad's normal and the reversed normal of the other [rad]."""
-
-
-def find_opposition(geometry: Geometry, finger: str) -> Opposition:
-    """Find the posture with the thumb's pad opposite a finger's, surfaces `CLEARANCE` apart: the
-    best of a few starts.
+def find_opposition(geometry: Geometry, finger: str) -> Array:
+    """Synergy with the thumb's pad opposite a finger's, surfaces `CLEARANCE` apart, shape (6,) [rad]:
+    the best of a few starts.
     """
     moved = [SERVO_INDEX[name] for name in ("thumb_cmc", "thumb_mp", f"{finger}_mcp")]
     bounds = HPAC.synergy_min[moved], HPAC.synergy_max[moved]
@@ -47,7 +31,7 @@ def find_opposition(geometry: Geometry, finger: str) -> Opposition:
         return synergy
 
     def residual(coordinates: Array) -> Array:
-        offset, gap, _ = _contact(geometry, finger, synergy_of(coordinates))
+        offset, gap, _ = contact(geometry, finger, synergy_of(coordinates))
         return np.array([*offset, _GAP_WEIGHT * (gap - CLEARANCE)])
 
     # Lengths are in metres and angles in radians: tolerances relative to a cost of about 1e-6 m²
@@ -56,14 +40,12 @@ def find_opposition(geometry: Geometry, finger: str) -> Opposition:
         least_squares(residual, start, bounds=bounds, ftol=1e-12, xtol=1e-12, gtol=1e-15)
         for start in _STARTS
     ]
-    synergy = synergy_of(min(fits, key=lambda fit: fit.cost).x)
-    offset, gap, angle = _contact(geometry, finger, synergy)
-    return Opposition(synergy, gap, float(np.linalg.norm(offset)), angle)
+    return synergy_of(min(fits, key=lambda fit: fit.cost).x)
 
 
-def _contact(geometry: Geometry, finger: str, synergy: Array) -> tuple[Array, float, float]:
-    """Offset between the pads (3,) [m], gap between the distal links [m], angle between the pads'
-    normals [rad].
+def contact(geometry: Geometry, finger: str, synergy: Array) -> tuple[Array, float, float]:
+    """Offset between the centres of the pads (3,) [m]; distance between the surfaces of the distal
+    links, negative if they overlap [m]; angle between one pad's normal and the other's reversed [rad].
     """
     angles = joints_from_synergy(synergy)
     pads = []
@@ -94,10 +76,11 @@ def main() -> None:
     """Print the best posture for each finger."""
     geometry = load_geometry()
     for finger in FINGERS:
-        opposition = find_opposition(geometry, finger)
+        synergy = find_opposition(geometry, finger)
+        offset, gap, angle = contact(geometry, finger, synergy)
         print(
-            f"{finger:6} = {np.round(opposition.synergy, 3).tolist()}  # gap {1e3 * opposition.gap:.2f} mm, "
-            f"pads {1e3 * opposition.pad_distance:.2f} mm apart, normals {np.degrees(opposition.pad_angle):.0f} deg"
+            f"{finger:6} = {np.round(synergy, 3).tolist()}  # gap {1e3 * gap:.2f} mm, "
+            f"pads {1e3 * np.linalg.norm(offset):.2f} mm apart, normals {np.degrees(angle):.0f} deg"
         )
 
 
