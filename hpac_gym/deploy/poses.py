@@ -40,9 +40,13 @@ class Source:
 
     where = "its source"
     fault = ""
+    _latest: tuple[Pose, float] | None = None
+    """The latest pose and when it came [s]."""
 
     def latest(self) -> tuple[Pose, float] | None:
         """The latest pose and its age [s]; None before the first. Never waits."""
+        latest = self._latest
+        return None if latest is None else (latest[0], monotonic() - latest[1])
 
     def close(self) -> None:
         """Let go what the source holds."""
@@ -131,9 +135,7 @@ class Packets(Source):
         fault: what was wrong with the last packet that was no pose.
     """
 
-    def __init__(self, port: int, clock: Callable[[], float] = monotonic) -> None:
-        self._clock = clock
-        self._latest: tuple[Pose, float] | None = None
+    def __init__(self, port: int) -> None:
         self._socket = udp(f"--pose udp:{port}", "127.0.0.1", port, bind=True)
         self._socket.settimeout(0.1)  # before the thread looks whether the port is closed
         self.port = self._socket.getsockname()[1]
@@ -150,7 +152,7 @@ class Packets(Source):
             except OSError as error:  # closed, or broken
                 self.fault = f"{error}"
                 return
-            at = self._clock()
+            at = monotonic()
             try:
                 packet = json.loads(data)
                 if packet[PACKET] != VERSION:
@@ -159,12 +161,6 @@ class Packets(Source):
                 self._latest = pose_of(numbers, "packet"), at
             except (PoseError, *MALFORMED) as error:
                 self.fault = f"{error}"
-
-    def latest(self) -> tuple[Pose, float] | None:
-        if self._latest is None:
-            return None
-        pose, at = self._latest
-        return pose, self._clock() - at
 
     def close(self) -> None:
         self._socket.close()

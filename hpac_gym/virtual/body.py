@@ -240,6 +240,7 @@ class LockStep(Source, Arm):
         item = self.body.setup.object
         half = tuple(side * error for side in item.half_extents)
         self.seen_object = ObjectSpec(item.shape, half, 0.1, 0.8)
+        self.tell = self.body.tell
         self.hand = VirtualHand(on_pulses=self._on_pulses, quiet_until_us=NEVER)
 
     def _on_pulses(self, now_us: int, pulses: Array) -> None:
@@ -253,10 +254,6 @@ class LockStep(Source, Arm):
             self.body.place(self.body.setup, servo_from_pulses(self.hand.pulses()))
         self.body.begin(self.hand.now_us)
         self.hand.quiet_until_us = self.hand.now_us
-
-    def tell(self, told: Mapping[str, Any]) -> None:
-        """The arm is told what to do, if it does not follow a table."""
-        self.body.tell(told)
 
     def latest(self) -> tuple[Pose, float]:
         """The object as a camera sees it."""

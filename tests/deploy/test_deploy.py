@@ -155,9 +155,10 @@ def test_a_file_that_has_no_poses_is_one_line(rows, says, tmp_path):
         source_of(f"{path}")
 
 
-def test_packets_come_by_udp_and_what_is_none_is_ignored():
+def test_packets_come_by_udp_and_what_is_none_is_ignored(monkeypatch):
     now = [0.0]
-    packets = Packets(0, lambda: now[0])
+    monkeypatch.setattr("hpac_gym.deploy.poses.monotonic", lambda: now[0])
+    packets = Packets(0)
     sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     sender.connect(("127.0.0.1", packets.port))
     wrong = (
