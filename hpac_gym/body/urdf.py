@@ -24,7 +24,7 @@ HAND_ON_WRIST_URDF = "hpac_hand_on_wrist.urdf"
 
 WRIST_RANGE = 1.0  # m, to either side
 WRIST_SLIDE_MASS = 0.1  # kg, light beside the hand
-WRIST_SLIDE_RADIUS = 0.02  # m, radius of the ball that gives a slide its inertia
+WRIST_SLIDE = Capsule((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.02)  # ball that gives a slide its inertia
 WRIST_EFFORT = 200.0  # N, force limit of the arm along each axis
 WRIST_VELOCITY = 2.0  # m/s
 
@@ -106,12 +106,11 @@ def _add_phalanx(robot: Xml.Element, phalanx: Phalanx, geometry: Geometry, tip: 
 
 
 def _add_wrist(robot: Xml.Element) -> None:
-    ball = Capsule((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), WRIST_SLIDE_RADIUS)
     links = ("wrist_base", "wrist_x_link", "wrist_y_link", "palm")
     for name in links[:-1]:
         add_inertial(
             Xml.SubElement(robot, "link", name=name),
-            *solid_inertia((ball,), WRIST_SLIDE_MASS),
+            *solid_inertia((WRIST_SLIDE,), WRIST_SLIDE_MASS),
             WRIST_SLIDE_MASS,
         )
     for name, axis, parent, child in zip("xyz", np.eye(3), links, links[1:], strict=False):

@@ -14,8 +14,8 @@ from hpac_gym.body.urdf import (
     COLORS,
     WRIST_EFFORT,
     WRIST_RANGE,
+    WRIST_SLIDE,
     WRIST_SLIDE_MASS,
-    WRIST_SLIDE_RADIUS,
     solid_inertia,
     text_of,
 )
@@ -162,8 +162,7 @@ def _add_defaults(root: Xml.Element, settings: HandSettings) -> None:
 
 def _add_wrist(world: Xml.Element) -> Xml.Element:
     wrist = Xml.SubElement(world, "body", name="wrist")
-    ball = Capsule((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), WRIST_SLIDE_RADIUS)
-    _add_inertial(wrist, *solid_inertia((ball,), 2 * WRIST_SLIDE_MASS), 2 * WRIST_SLIDE_MASS)
+    _add_inertial(wrist, (WRIST_SLIDE,), 2 * WRIST_SLIDE_MASS)
     for name, axis in zip("xyz", np.eye(3), strict=True):
         Xml.SubElement(
             wrist,
@@ -180,9 +179,7 @@ def _add_wrist(world: Xml.Element) -> Xml.Element:
 
 def _add_palm(parent: Xml.Element, geometry: Geometry) -> Xml.Element:
     palm = Xml.SubElement(parent, "body", name="palm")
-    _add_inertial(
-        palm, *solid_inertia(geometry.palm_solids, geometry.palm_mass), geometry.palm_mass
-    )
+    _add_inertial(palm, geometry.palm_solids, geometry.palm_mass)
     for index, solid in enumerate(geometry.palm_solids):
         material = "palm" if isinstance(solid, Box) else "housing"
         _add_geom(palm, solid, "body", material, f"palm_{index}")
@@ -196,13 +193,8 @@ def _add_phalanx(
     # URDF's.
     turn = text_of(_quaternion(rotation_from_rpy(phalanx.rpy)), 15)
     body = Xml.SubElement(parent, "body", name=phalanx.link, pos=text_of(phalanx.origin), quat=turn)
-    center, inertia = solid_inertia((phalanx.capsule,), phalanx.mass)
-    _add_inertial(
-        body,
-        center,
-        inertia + armature_of(phalanx.joint, settings.armature) * np.eye(3),
-        phalanx.mass,
-    )
+    added = armature_of(phalanx.joint, settings.armature)
+    _add_inertial(body, (phalanx.capsule,), phalanx.mass, added)
     index = JOINT_INDEX[phalanx.joint]
     limits = text_of((hand.joint_min[index], hand.joint_max[index]))
     Xml.SubElement(body, "joint", name=phalanx.joint, axis=text_of(phalanx.axis, 15), range=limits)
@@ -256,7 +248,7 @@ def fixed_tendons() -> list[str]:
         for digit, joints in HPAC.digits.items()
         for i in range(1, len(joints.joints))
     ]
-    return [*couplings, *(f"{digit}_spring" for digit in HPAC.digits)]
+    return couplings + [f"{digit}_spring" for digit in DIGITS]
 
 
 def _add_actuators(actuator: Xml.Element, mechanics: Mechanics, hand: Hand, on_wrist: bool) -> None:
@@ -290,13 +282,17 @@ def _add_actuators(actuator: Xml.Element, mechanics: Mechanics, hand: Hand, on_w
         )
 
 
-def _add_inertial(body: Xml.Element, center: Array, inertia: Array, mass: float) -> None:
+def _add_inertial(
+    body: Xml.Element, solids: tuple[Box | Capsule, ...], mass: float, added: float = 0.0
+) -> None:
+    """Add mass [kg] and inertia of solids, with an inertia added about every axis [kg·m²]."""
+    center, inertia = solid_inertia(solids, mass)
     Xml.SubElement(
         body,
         "inertial",
         pos=text_of(center),
         mass=text_of((mass,)),
-        fullinertia=text_of(inertia[INERTIA_ENTRIES], 12),
+        fullinertia=text_of((inertia + added * np.eye(3))[INERTIA_ENTRIES], 12),
     )
 
 
