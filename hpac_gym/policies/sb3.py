@@ -15,6 +15,7 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+from gymnasium.vector.utils import iterate
 from numpy.typing import NDArray
 
 from hpac_gym.errors import PolicyError, install
@@ -213,13 +214,7 @@ def _policy(path: Path, _changed: int) -> tuple[Any, bool]:
     except Exception as error:  # a damaged file can make its reader raise anything
         raise PolicyError(f"model '{path}' is damaged: {error!r}".splitlines()[0]) from None
     last = data.get("_last_obs")
-    rows = (
-        [dict(zip(last, row, strict=True)) for row in zip(*last.values(), strict=True)]
-        if isinstance(last, dict)
-        else []
-        if last is None
-        else last
-    )
+    rows = [] if last is None else iterate(data["observation_space"], last)
     return policy, any(row not in data["observation_space"] for row in rows)
 
 
