@@ -8,7 +8,8 @@ is its own reference."""
 import importlib.util
 import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 
@@ -76,11 +77,10 @@ def free_space(
     rng = np.random.default_rng(seed)
     synergy = hand.synergy_max * rng.uniform(0.03, 0.97, (postures, len(SERVOS)))
     setup = SceneSetup(None, hand=hand, geometry=geometry, hand_settings=settings)
-    hands = _hands(make, postures, setup, replace(world, gravity=0.0, collisions=False))
-    hands.command(servo_from_synergy(synergy, hand), 0.4)
-    hands.rest(8.0)
-    state = hands.state()
-    hands.engine.close()
+    with _hands(make, postures, setup, replace(world, gravity=0.0, collisions=False)) as hands:
+        hands.command(servo_from_synergy(synergy, hand), 0.4)
+        hands.rest(8.0)
+        state = hands.state()
     manifold = np.abs(state.joint_pos - joints_from_synergy(state.joint_pos[:, _ROOTS], hand)).max()
     command = np.degrees(np.abs(state.joint_pos[:, _ROOTS] - synergy).max())
     return float(manifold), float(command), float(np.abs(state.joint_vel).max())
@@ -105,13 +105,12 @@ def blocked_fingertip(
     centre = position + rotation @ [digit.phalanges[-1].capsule.radius + ball + 3e-4, 0.0, 0.012]
     peg = ObjectSpec("sphere", (ball, ball, ball), mass=0.1, friction=1e-9)
     setup = SceneSetup(peg, centre, synergy=synergy, hand_settings=settings, fixed=True)
-    hands = _hands(make, 1, setup, replace(world, gravity=0.0))
-    synergy[SERVO_INDEX[f"{finger}_mcp"]] = 0.9
-    hands.command(servo_from_synergy(synergy)[None], 0.4)
-    hands.rest(8.0)
-    state = hands.state()
-    contacts = hands.engine.contacts(0)
-    hands.engine.close()
+    with _hands(make, 1, setup, replace(world, gravity=0.0)) as hands:
+        synergy[SERVO_INDEX[f"{finger}_mcp"]] = 0.9
+        hands.command(servo_from_synergy(synergy)[None], 0.4)
+        hands.rest(8.0)
+        state = hands.state()
+        contacts = hands.engine.contacts(0)
     law = Tendons(HPAC, np.eye(15), world.dt, settings.damping, settings.slack)
     tendon, _ = law.torque(state.joint_pos[0], np.zeros(15), state.horn[0], np.zeros(len(SERVOS)))
     torque = np.zeros(len(joints))
@@ -139,18 +138,17 @@ def held_cylinder(
     synergy = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.2])
     spec = ObjectSpec("cylinder", (0.025, 0.025, 0.06), mass=0.15, friction=0.8)
     setup = SceneSetup(spec, np.array([0.042, 0.0, 0.105]), synergy=synergy, hand_settings=settings)
-    hands = _hands(make, 1, setup, world)
-    hands.command(servo_from_synergy(np.array([[0.9, *HPAC.synergy_max[1:5], 1.2]])), 0.8)
-    hands.rest(1.5)
     share = np.linspace(0.0, 1.0, round(0.6 / world.dt) + 1)[1:]
     path = np.zeros((1, round((0.6 + 0.5) / world.dt), 3))
     path[0, :, 2] = 0.06
     path[0, : len(share), 2] *= minimum_jerk(share)
-    hands.advance(path)
-    start = hands.state()
-    hands.advance(np.broadcast_to(path[:, -1:], (1, round(10.0 / world.dt), 3)))
-    end = hands.state()
-    hands.engine.close()
+    with _hands(make, 1, setup, world) as hands:
+        hands.command(servo_from_synergy(np.array([[0.9, *HPAC.synergy_max[1:5], 1.2]])), 0.8)
+        hands.rest(1.5)
+        hands.advance(path)
+        start = hands.state()
+        hands.advance(np.broadcast_to(path[:, -1:], (1, round(10.0 / world.dt), 3)))
+        end = hands.state()
     held = (
         end.touching[0].any()
         and not end.supported[0]
@@ -162,12 +160,10 @@ def held_cylinder(
 
 def slack_droop(make: Factory, settings: HandSettings, world: WorldSettings) -> float:
     """Largest MCP angle of the fingers with the palm down and all servos at rest [rad]."""
-    hands = _hands(
-        make, 1, SceneSetup(None, hand_settings=settings, hand_quaternion=_PALM_DOWN), world
-    )
-    hands.rest(4.0)
-    joints = hands.state().joint_pos[0]
-    hands.engine.close()
+    setup = SceneSetup(None, hand_settings=settings, hand_quaternion=_PALM_DOWN)
+    with _hands(make, 1, setup, world) as hands:
+        hands.rest(4.0)
+        joints = hands.state().joint_pos[0]
     return float(max(joints[JOINT_INDEX[f"{finger}_mcp"]] for finger in FINGERS))
 
 
@@ -176,14 +172,9 @@ def opposition_gap(
 ) -> float:
     """Distance between thumb pad and finger pad in the simulated opposition posture [m]."""
     synergy = np.array(HPAC_GEOMETRY.opposition[finger])
-    hands = _hands(
-        make,
-        1,
-        SceneSetup(None, synergy=synergy, hand_settings=settings),
-        replace(world, gravity=0.0),
-    )
-    joints = hands.state().joint_pos[0]
-    hands.engine.close()
+    setup = SceneSetup(None, synergy=synergy, hand_settings=settings)
+    with _hands(make, 1, setup, replace(world, gravity=0.0)) as hands:
+        joints = hands.state().joint_pos[0]
     pads = []
     for name in ("thumb", finger):
         digit = HPAC_GEOMETRY.digit(name)
@@ -256,11 +247,13 @@ def figures(
     ]
 
 
-def _hands(make: Factory, n: int, setup: SceneSetup, world: WorldSettings) -> Simulation:
+@contextmanager
+def _hands(make: Factory, n: int, setup: SceneSetup, world: WorldSettings) -> Iterator[Simulation]:
     """n worlds, reset to the same setup."""
-    hands = Simulation(make(n, world))
-    hands.reset(range(n), [setup] * n)
-    return hands
+    with closing(make(n, world)) as engine:
+        hands = Simulation(engine)
+        hands.reset(range(n), [setup] * n)
+        yield hands
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -128,10 +128,7 @@ class Rig:
             record(moving, phase)
             record(self.protocol.hold, phase, point)
             # So that the point's samples are symmetric about the middle of the hold.
-            labels[-1] = (
-                phase,
-                -1,
-            )
+            labels[-1] = (phase, -1)
 
         angles = np.linspace(HPAC.servo_min[swept], HPAC.servo_max[swept], self.protocol.points)
         rest()
@@ -147,17 +144,9 @@ class Rig:
 
         count = len(labels)
         time = period * np.arange(1, count + 1)
-        phase, point = np.array(labels).T
         joint_pos = self.camera.seen(np.array(measured), time, rng)
-        return Sweep(
-            np.full(count, trial),
-            np.full(count, swept),
-            phase,
-            point,
-            time,
-            np.array(commanded),
-            joint_pos,
-        )
+        numbers = (np.full(count, trial), np.full(count, swept), *np.array(labels).T)
+        return Sweep(*numbers, time, np.array(commanded), joint_pos)
 
     def with_protocol(self, **changes: object) -> Rig:
         """The same rig with another protocol."""

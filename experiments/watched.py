@@ -71,12 +71,12 @@ def object_scene(rng: np.random.Generator) -> tuple[np.ndarray, Array, Array]:
     return camera.picture(pieces, rng), position, rotation
 
 
-def object_errors(count: int, seed: int, lens: Lens = TRUE, shown: bool = False) -> Array:
+def object_errors(count: int, seed: int, lens: Lens = TRUE) -> Array:
     """Errors of the object's position [mm] and rotation [°] in some pictures, shape (count, 2); NaN
     where no pose is found.
     """
     errors = np.full((count, 2), np.nan)
-    for number in progress(range(count), "pictures", shown):
+    for number in progress(range(count), "pictures"):
         picture, position, rotation = object_scene(np.random.default_rng([seed, number]))
         try:
             place = object_place(detect(picture), lens, TOP)
@@ -104,7 +104,7 @@ def main(argv: list[str] | None = None) -> int:
     seed = arguments.seed
     objects = []
     for name, lens in LENSES.items() if arguments.pictures else ():
-        errors = object_errors(arguments.pictures, seed, lens, shown=True)
+        errors = object_errors(arguments.pictures, seed, lens)
         objects.append(
             {
                 "lens": name,

@@ -7,9 +7,9 @@ an interpreter's own start."""
 import resource
 import subprocess
 import sys
+import timeit
 from collections.abc import Callable
 from dataclasses import dataclass
-from time import perf_counter
 
 import numpy as np
 
@@ -34,13 +34,7 @@ class Row:
 
 def seconds_per_call(call: Callable[[], object], calls: int) -> float:
     """Time of one call in the best of several rounds, the one least disturbed by other load [s]."""
-    best = float("inf")
-    for _ in range(ROUNDS):
-        start = perf_counter()
-        for _ in range(calls):
-            call()
-        best = min(best, perf_counter() - start)
-    return best / calls
+    return min(timeit.repeat(call, repeat=ROUNDS, number=calls)) / calls
 
 
 def bare_servo_from_joints(joint_pos: np.ndarray) -> np.ndarray:

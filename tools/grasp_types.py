@@ -56,16 +56,16 @@ def judge(name: str, set_up: str, hand: str, episodes: int) -> dict[str, Any]:
     """
     engine, body, world = parsed(set_up)
     seeds = [HELD_OUT_SEED + index for index in range(episodes)]
-    worlds = WORLDS if engine == "mujoco" else 1
-    types = [GRASP_TYPES[name]] * episodes
-    options = {
-        "engine": engine,
-        "body": body,
-        "randomize": hand,
-        "num_worlds": worlds,
-        "world": world,
-    }
-    trials = [trial for _, trial in run_types(types, seeds, **options)]
+    found = run_types(
+        [GRASP_TYPES[name]] * episodes,
+        seeds,
+        engine=engine,
+        body=body,
+        randomize=hand,
+        num_worlds=WORLDS if engine == "mujoco" else 1,
+        world=world,
+    )
+    trials = [trial for _, trial in found]
     wins = [trial for trial in trials if trial.success]
     failed = Counter(
         clause
@@ -76,14 +76,10 @@ def judge(name: str, set_up: str, hand: str, episodes: int) -> dict[str, Any]:
     )
 
     def mean(what: str) -> dict[str, float]:
-        return (
-            {
-                part: round(float(np.mean([getattr(trial, what)[part] for trial in wins])), 2)
-                for part in PARTS
-            }
-            if wins
-            else {}
-        )
+        return {
+            part: round(float(np.mean([getattr(trial, what)[part] for trial in wins])), 2)
+            for part in (PARTS if wins else ())
+        }
 
     return {
         "episodes": episodes,
@@ -135,22 +131,18 @@ def rule_table() -> str:
 def all_successes_table() -> str:
     """Successes with every kind of hands, in the order of `SET_UPS`, and the episodes of each."""
     outcomes = results()
+    parts = {f"`{name}`": [entry] for name, entry in outcomes.items()}
+    parts["all"] = list(outcomes.values())
     rows = []
-    for name, entry in outcomes.items():
-        cells = [
-            ", ".join(str(entry[hand][set_up]["successes"]) for set_up in SET_UPS) for hand in HANDS
+    for label, entries in parts.items():
+        counts = [
+            [sum(entry[hand][set_up]["successes"] for entry in entries) for set_up in SET_UPS]
+            for hand in HANDS
         ]
-        rows.append([f"`{name}`", *cells])
-    sums = [
-        ", ".join(
-            str(sum(entry[hand][set_up]["successes"] for entry in outcomes.values()))
-            for set_up in SET_UPS
-        )
-        for hand in HANDS
-    ]
-    first = next(iter(outcomes.values()))
+        rows.append([label, *(", ".join(map(str, of_set_up)) for of_set_up in counts)])
+    first = parts["all"][0]
     heads = [f"{hand}, of {first[hand][SET_UPS[0]]['episodes']}" for hand in HANDS]
-    return markdown(["grasp", *heads], [*rows, ["all", *sums]])
+    return markdown(["grasp", *heads], rows)
 
 
 def picture(path: Path) -> None:
