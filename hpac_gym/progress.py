@@ -52,17 +52,15 @@ def waiting(label: str) -> Iterator[None]:
     done = Event()
 
     def show() -> None:
-        if not done.wait(_PATIENCE):
+        if sys.stderr.isatty() and not done.wait(_PATIENCE):
             with tqdm(desc=label, bar_format="{desc}: {elapsed}", leave=False) as bar:
                 while not done.wait(0.5):
                     bar.refresh()
 
     thread = Thread(target=show, daemon=True)
-    if sys.stderr.isatty():
-        thread.start()
+    thread.start()
     try:
         yield
     finally:
         done.set()
-        if thread.is_alive():
-            thread.join()
+        thread.join()

@@ -7,7 +7,8 @@ import sys
 import pytest
 
 from hpac_gym import progress as module
-from hpac_gym.progress import progress
+from hpac_gym.progress import progress, waiting
+from tests.processes import wait_for
 
 
 def test_what_is_soon_done_shows_nothing(capsys):
@@ -33,3 +34,10 @@ def test_none_is_shown_where_none_is_wanted(items, capsys, monkeypatch):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     assert list(progress(items, "label", shown=False)) == items
     assert capsys.readouterr().err == ""
+
+
+def test_one_long_call_shows_how_long_it_has_taken(capsys, monkeypatch):
+    monkeypatch.setattr(module, "_PATIENCE", 0.0)
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    with waiting("label"):
+        wait_for(lambda: "label: 00:00" in capsys.readouterr().err)
