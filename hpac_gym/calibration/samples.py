@@ -122,8 +122,6 @@ def digit_samples(record: Sweep, servo: int, base: Hand = HPAC) -> DigitSamples 
     )
     kept = _without_stops(whole, servo, base)
     back = kept.direction == EXTENSION
-    if not back.any():
-        return kept
     near_turn = kept.servo >= kept.servo.max() - TURNED * (
         base.servo_max[servo] - base.servo_min[servo]
     )

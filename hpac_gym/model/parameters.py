@@ -283,10 +283,8 @@ class Hand:
     @cached_property
     def servo_of_joint(self) -> np.ndarray:
         """Index of the servo that moves each joint, shape (15,)."""
-        index = np.full(len(JOINTS), SERVO_INDEX["thumb_cmc"])
-        for digit in self.digits.values():
-            index[[JOINT_INDEX[name] for name in digit.joints]] = SERVO_INDEX[digit.joints[0]]
-        return _read_only(index)
+        root = {name: digit.joints[0] for digit in self.digits.values() for name in digit.joints}
+        return _read_only(np.array([SERVO_INDEX[root.get(name, name)] for name in JOINTS]))
 
     @cached_property
     def rigid_ratio(self) -> Array:
@@ -311,11 +309,9 @@ class Hand:
     @cached_property
     def deviation_matrix(self) -> Array:
         """B with b(q) = B q, shape (15, 15). Eqs. (10), (11)."""
-        matrix = np.zeros((len(JOINTS), len(JOINTS)))
-        for digit in self.digits.values():
-            rows = [JOINT_INDEX[name] for name in digit.joints]
-            matrix[np.ix_(rows, rows)] = np.outer(digit.compliance, digit.joint_radius)
-        return _read_only(matrix)
+        same_digit = self.servo_of_joint[:, None] == self.servo_of_joint
+        products = np.outer(self._by_joint("compliance", cmc=0.0), self.joint_radius)
+        return _read_only(np.where(same_digit, products, 0.0))
 
     @cached_property
     def synergy_projection(self) -> Array:

@@ -18,11 +18,9 @@ from hpac_gym.model.checks import Array, as_finite_vector
 from hpac_gym.model.command import clip_to_workspace, servo_from_joints
 from hpac_gym.model.elasticity import elastic_joints_from_servo
 from hpac_gym.model.files import HPAC
-from hpac_gym.model.joints import FINGERS, JOINT_INDEX, JOINTS
+from hpac_gym.model.joints import FINGERS, JOINTS
 from hpac_gym.model.parameters import Hand
 from hpac_gym.model.settled import settled_joints_from_servo, settled_servo_from_joints
-
-_PARTS = {"thumb": ("ip", "mp", "cmc"), **dict.fromkeys(FINGERS, ("dip", "pip", "mcp"))}
 
 
 class PostureError(HpacError, LookupError):
@@ -57,9 +55,9 @@ class Reach:
 
 
 def _posture(name: str, table: dict[str, Any]) -> Posture:
-    target = np.empty(len(JOINTS))
-    for digit, parts in _PARTS.items():
-        target[[JOINT_INDEX[f"{digit}_{part}"] for part in parts]] = table[digit]
+    *thumb, cmc = table["thumb"]
+    fingers = [angle for finger in FINGERS for angle in table[finger]]
+    target = np.array([*thumb, *fingers, cmc], dtype=float)  # in the order of `JOINTS`
     target.setflags(write=False)
     return Posture(
         name, table["panel"], table["kind"], table["about"], target, tuple(table.get("aliases", ()))
