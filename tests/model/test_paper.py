@@ -124,18 +124,14 @@ def test_eq_4_included_angle_spans_the_shortened_chord(finger, share):
     assert np.hypot(*apart) == pytest.approx(p.rest_chord - wound, rel=1e-12)
 
 
-@pytest.mark.parametrize("finger", FINGERS)
+@pytest.mark.parametrize("root", SERVOS[:-1])
 @pytest.mark.parametrize("share", SHARES)
-def test_eq_5_mcp_of_a_servo_angle(finger, share):
-    """Eq. (5)."""
+def test_eqs_5_and_7_mcp_and_mp_of_a_servo_angle(root, share):
+    """Eq. (5) for the fingers' MCP, Eq. (7) for the thumb's MP."""
     servo = servo_at(share)
-    expected = cosine_law(finger, servo[SERVO_INDEX[f"{finger}_mcp"]])
-    assert synergy_from_servo(servo)[SERVO_INDEX[f"{finger}_mcp"]] == pytest.approx(
-        expected, abs=1e-13
-    )
-    assert of(rigid_joints_from_servo(servo), f"{finger}_mcp") == pytest.approx(
-        [expected], abs=1e-13
-    )
+    expected = cosine_law(root.partition("_")[0], servo[SERVO_INDEX[root]])
+    assert synergy_from_servo(servo)[SERVO_INDEX[root]] == pytest.approx(expected, abs=1e-13)
+    assert of(rigid_joints_from_servo(servo), root) == pytest.approx([expected], abs=1e-13)
 
 
 def test_eq_6_thumb_radii_5_4_give_angles_4_5():
@@ -144,14 +140,6 @@ def test_eq_6_thumb_radii_5_4_give_angles_4_5():
     assert r_ip / r_mp == pytest.approx(5 / 4)
     q_ip, q_mp = of(rigid_joints_from_servo(servo_at(0.6)), "thumb_ip", "thumb_mp")
     assert q_ip / q_mp == pytest.approx(4 / 5)
-
-
-@pytest.mark.parametrize("share", SHARES)
-def test_eq_7_mp_of_a_servo_angle(share):
-    """Eq. (7)."""
-    servo = servo_at(share)
-    expected = cosine_law("thumb", servo[SERVO_INDEX["thumb_mp"]])
-    assert of(rigid_joints_from_servo(servo), "thumb_mp") == pytest.approx([expected], abs=1e-13)
 
 
 def test_eq_8_cmc_turns_with_its_servo():
