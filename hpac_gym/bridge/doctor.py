@@ -66,8 +66,7 @@ def diagnose(name: str, port: str | Callable[[], Transport], hand: Hand = HPAC) 
     except PortError as error:
         what, _, advice = _without_name(error, name).partition("; ")
         return Finding(name, False, what, advice)
-    statistics = LinkStatistics()
-    exchange = Exchange(transport, statistics)
+    exchange = Exchange(transport, LinkStatistics())
     try:
         attempts = round(_PATIENCE / _ATTEMPT)
         answer = exchange.request("hello", {"nonce": 0}, timeout=_ATTEMPT, attempts=attempts)
@@ -81,7 +80,7 @@ def diagnose(name: str, port: str | Callable[[], Transport], hand: Hand = HPAC) 
         answer = exchange.request("status")
         if answer.name == "ack":
             return _refused(name, "STATUS", answer)
-        return _judge(name, info, HandStatus.from_frame(answer), statistics, hand)
+        return _judge(name, info, HandStatus.from_frame(answer), exchange.statistics, hand)
     except LinkTimeout:
         if exchange.host_frames:
             what = f"an echo: what is sent comes back ({len(exchange.splitter.tail)} bytes)"

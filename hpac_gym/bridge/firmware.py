@@ -65,7 +65,9 @@ def _compiled(folder: Path, name: str) -> Path:
     sources = [*folder.glob("core/*.[ch]"), *folder.glob("board/*.[ch]")]
     for path in sorted([*sources, *folder.glob("board/host/*.[ch]")]):
         key.update(path.name.encode() + b"\0" + path.read_bytes())
-    path = _cache() / key.hexdigest()[:16] / name
+    usual = os.path.expanduser("~/Library/Caches" if sys.platform == "darwin" else "~/.cache")
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or usual) / "hpac_gym" / "firmware"
+    path = cache / key.hexdigest()[:16] / name
     if path.exists():
         return path
     try:
@@ -86,9 +88,3 @@ def _compiled(folder: Path, name: str) -> Path:
     said = done.stderr.strip().splitlines() or ["it gives no reason"]
     reason = next((line for line in said if "error" in line), said[-1])
     raise FirmwareMissing(f"'{shlex.join(compiler)}' cannot compile {name}: {reason}")
-
-
-def _cache() -> Path:
-    """The user's folder for what can be made again."""
-    usual = os.path.expanduser("~/Library/Caches" if sys.platform == "darwin" else "~/.cache")
-    return Path(os.environ.get("XDG_CACHE_HOME") or usual) / "hpac_gym" / "firmware"

@@ -218,11 +218,10 @@ class Stream:
 
     def _makes(self, accepted: int, last: int) -> None:
         """The hand makes one move, and no other one of those up to `last`."""
-        first, *others = list(self._ramps)
-        gone = [first, *others[: others.index(last) + 1]] if last != first else [first]
-        for number in gone:
+        numbers = list(self._ramps)
+        for number in numbers[: numbers.index(last) + 1]:
             if number != accepted:
-                self.counts.lost += number != first
+                self.counts.lost += number != numbers[0]
                 del self._ramps[number]
 
     def _answered(self, ack: Frame) -> None:

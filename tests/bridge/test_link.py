@@ -176,11 +176,6 @@ def test_silence_ends_in_a_latched_fault_that_clear_leaves(virtual_hand, armed):
     assert armed.wait().counters["watchdog_trips"] == 1
 
 
-def test_a_long_move_survives_the_watchdog(armed):
-    armed.move(ServoCommand(POSE, 3.0))
-    np.testing.assert_allclose(armed.wait().servo, POSE, atol=1e-4)
-
-
 @pytest.mark.parametrize(("reset", "fault"), [(Reset.brownout, "brownout"), (Reset.crash, "crash")])
 def test_a_suspicious_reset_needs_a_clear(reset, fault):
     with HandLink(VirtualHand(reset=reset).connect) as link:
