@@ -24,7 +24,6 @@ from hpac_gym.bridge.commands import connector
 from hpac_gym.bridge.gentle import go, open_hand
 from hpac_gym.deploy.poses import averaged
 from hpac_gym.model import HPAC, load_hand
-from hpac_gym.model.checks import as_bounded_array
 from hpac_gym.settings import check_bounds, setting
 from lerobot_robot_hpac.features import (
     ACTIONS,
@@ -68,7 +67,7 @@ class HpacConfig(RobotConfig):
     port: str
     hand: str | None = None
     patience: float = setting(10.0, bounds=(0.0, np.inf), above=True, unit="s")
-    start: list[float] | None = None
+    start: list[float] | None = setting(None, bounds=(-1.0, 1.0), size=len(ACTIONS))
     pose: str | None = None
     object: str | None = None
     cameras: dict[str, CameraConfig] = field(default_factory=dict)
@@ -89,9 +88,6 @@ class Hpac(Robot):
     def __init__(self, config: HpacConfig) -> None:
         super().__init__(config)
         check_bounds(config, "robot")
-        if config.start is not None:
-            ones = np.ones(len(ACTIONS))
-            as_bounded_array(config.start, -ones, ones, ACTIONS, "robot start", "")
         self.config = config
         self.cameras = make_cameras_from_configs(config.cameras)
         self._hand = load_hand(config.hand) if config.hand else HPAC

@@ -154,10 +154,10 @@ def test_the_way_to_the_start_is_behind_the_robot_when_it_is_connected(board):
 @pytest.mark.parametrize(
     ("setting", "told"),
     [
-        ({"start": [0.5] * 5}, r"start must have shape \(..., 6\), not \(5,\)"),
-        ({"start": []}, "start must have shape"),
-        ({"start": [0.5, np.nan, 0.5, 0.5, 0.5, 0.5]}, "start index_mcp.pos = nan"),
-        ({"start": [45.0] * 6}, r"start thumb_mp.pos = 45 .*\[-1, 1\]"),
+        ({"start": [0.5] * 5}, r"start = .* must be 6 values within \[-1, 1\]"),
+        ({"start": []}, r"start = \[\] must be 6 values"),
+        ({"start": [0.5, np.nan, 0.5, 0.5, 0.5, 0.5]}, r"start = \[0.5, nan, .* must be 6 values"),
+        ({"start": [45.0] * 6}, r"start = \[45.0, .* must be 6 values within \[-1, 1\]"),
         ({"patience": np.nan}, r"patience = nan s must be a number within \]0, inf\[ s"),
         ({"patience": 0.0}, "patience = 0.0 s"),
     ],
