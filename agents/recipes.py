@@ -22,16 +22,13 @@ _KINDS = {
 
 
 def setting(
-    default: Any, meaning: str, low: float = 0.0, high: float = inf, only: str | None = None
+    default: Any, meaning: str, low: float = 0.0, high: float = inf, **more: str | tuple[str, ...]
 ) -> Any:
-    """Field with a number or a tuple of numbers in `low`…`high`, which `only` one environment has."""
-    metadata = {"meaning": meaning, "low": low, "high": high, "only": only}
-    return field(default=default, metadata=metadata)
-
-
-def choice(default: Any, meaning: str, choices: tuple[str, ...], only: str | None = None) -> Any:
-    """Field with one of `choices`, or a tuple of them, which `only` one environment has."""
-    return field(default=default, metadata={"meaning": meaning, "choices": choices, "only": only})
+    """Field with a number in `low`…`high` or one of the `choices`, or with a tuple of them; `only`:
+    the one environment that has it.
+    """
+    bounds = {} if "choices" in more else {"low": low, "high": high}
+    return field(default=default, metadata={"meaning": meaning, **bounds, **more})
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,15 +43,17 @@ class Recipe:
     """Any registered id whose task observes a vector."""
     options: Mapping[str, Any] = field(default_factory=dict)
     """Options of the environment, as `hpac_gym.evaluation.options.env_options` gives them."""
-    set_ups: tuple[str, ...] = choice(
-        ("mujoco/twin",), "comma-separated engines and bodies with equal shares of worlds", SET_UPS
+    set_ups: tuple[str, ...] = setting(
+        ("mujoco/twin",),
+        "comma-separated engines and bodies with equal shares of worlds",
+        choices=SET_UPS,
     )
-    randomize: str = choice("nominal", "randomization of the episodes", tuple(PRESETS))
-    contacts: str = choice(
+    randomize: str = setting("nominal", "randomization of the episodes", choices=tuple(PRESETS))
+    contacts: str = setting(
         "usual",
         "contacts in training; weak: without torsional friction, and with half to all of the skin's "
         "friction, so that grasps hold in engines whose contacts hold less",
-        ("usual", "weak"),
+        choices=("usual", "weak"),
     )
     episodes: int = setting(60_000, "total number of trials", 1, 10**8)
     env_steps: int = setting(10**12, "limit of control steps over all worlds", 1)
@@ -109,8 +108,11 @@ class Recipe:
         2,
         only=GRASP_ANY,
     )
-    hands: str = choice(
-        "nominal", f"hands of {GRASP_ANY} in training", ("nominal", "train"), only=GRASP_ANY
+    hands: str = setting(
+        "nominal",
+        f"hands of {GRASP_ANY} in training",
+        choices=("nominal", "train"),
+        only=GRASP_ANY,
     )
     checkpoint_every: int = setting(5_000, "trials between two checkpoints", 1)
     trials_of: tuple[str, ...] = ()
@@ -129,7 +131,7 @@ class Recipe:
                     raise RecipeError(
                         f"{entry.name} is {part}: it must lie in {told['low']:g}…{told['high']:g}"
                     )
-            if told.get("only") not in (None, self.env_id) and value != entry.default:
+            if told.get("only", self.env_id) != self.env_id and value != entry.default:
                 raise RecipeError(
                     f"{entry.name} is {value}: only {told['only']} has this setting, not {self.env_id}"
                 )

@@ -27,9 +27,6 @@ if TYPE_CHECKING:
 
 RUN = "run.json"
 _PREFIX = "checkpoint-"
-_UNFINISHED = ".unfinished"
-_BEFORE = ".before"
-"""Of a complete checkpoint while one of as many trials takes its place."""
 
 
 def other_versions(told: Mapping[str, str]) -> str:
@@ -43,15 +40,17 @@ def other_versions(told: Mapping[str, str]) -> str:
 
 
 def save_checkpoint(folder: Path, learner: Learner, state: dict[str, Any]) -> Path:
-    """Write a checkpoint of the learner, its optimisers, its trials and the scaling; returns its
-    folder.
+    """Write a checkpoint of the learner, its optimisers, its trials and the scaling, unless there is
+    one of as many trials; returns its folder.
 
     Raises:
         RunError: The training has diverged, the disk is full or the folder cannot be written; the
             previous checkpoint is kept.
     """
     final = folder / f"{_PREFIX}{learner.trials.count:09d}"
-    unfinished = final.with_suffix(_UNFINISHED)
+    if final.exists():
+        return final
+    unfinished = final.with_suffix(".unfinished")
     arrays = learner.arrays()
     try:
         if bad := next(
@@ -70,8 +69,6 @@ def save_checkpoint(folder: Path, learner: Learner, state: dict[str, Any]) -> Pa
         (unfinished / "state.json").write_text(json.dumps(state, indent=2) + "\n")
         for path in (*unfinished.iterdir(), unfinished):
             _to_disk(path)
-        if final.exists():
-            os.rename(final, final.with_suffix(_BEFORE))
         os.rename(unfinished, final)
         _to_disk(folder)
     except (OSError, ValueError) as error:
@@ -89,9 +86,7 @@ def save_checkpoint(folder: Path, learner: Learner, state: dict[str, Any]) -> Pa
 def latest_checkpoint(folder: Path) -> Path | None:
     """The latest complete checkpoint in a folder; None without one."""
     complete = [
-        path
-        for path in folder.glob(f"{_PREFIX}*")
-        if path.suffix in ("", _BEFORE) and path.stem.removeprefix(_PREFIX).isdecimal()
+        path for path in folder.glob(f"{_PREFIX}*") if path.name.removeprefix(_PREFIX).isdecimal()
     ]
     return max(complete, default=None)
 
@@ -99,7 +94,7 @@ def latest_checkpoint(folder: Path) -> Path | None:
 def saved_trials(folder: Path) -> int:
     """Number of trials in the latest complete checkpoint in a folder; 0 without one."""
     path = latest_checkpoint(folder)
-    return int(path.stem.removeprefix(_PREFIX)) if path else 0
+    return int(path.name.removeprefix(_PREFIX)) if path else 0
 
 
 def recipe_in(folder: Path) -> Recipe:

@@ -27,6 +27,7 @@ from agents.recipes import (
     recipe_of,
     with_settings,
 )
+from agents.recorded import Recorded
 from agents.runs import (
     RUN,
     latest_checkpoint,
@@ -36,7 +37,7 @@ from agents.runs import (
     save_checkpoint,
     saved_trials,
 )
-from agents.trials import training_task
+from agents.trials import training_task, worlds_of
 from hpac_gym.command import INTERRUPTED, command_parser, minutes, run, whole_number
 from hpac_gym.errors import HpacError
 from hpac_gym.evaluation.environment import versions
@@ -68,7 +69,6 @@ def train(
     import torch
 
     from agents.learner import Learner
-    from agents.trials import worlds_of
 
     torch.set_num_threads(1)
     done = 0 if fresh else saved_trials(out)
@@ -77,8 +77,6 @@ def train(
 
         sources = [Collectors(recipe, nodes, done)]
     elif recipe.trials_of:
-        from agents.recorded import Recorded
-
         sources = [Recorded(recipe, done)]
     else:
         sources = worlds_of(recipe)
@@ -117,9 +115,8 @@ def train(
         }
         write_policy(out / POLICY, PolicyFile(learner.networks.policy(), about))
         progress.write_row(learner.metrics())
-        if (
-            not recipe.trials_of and (out / CURVE).exists()
-        ):  # the successes of others say nothing about this policy
+        # The successes of others say nothing about this policy.
+        if not recipe.trials_of and (out / CURVE).exists():
             try:
                 report(out)
             except HpacError as error:

@@ -475,28 +475,6 @@ def test_a_full_disk_keeps_the_checkpoint_before(learner, tmp_path, monkeypatch,
     assert {path.name: path.read_bytes() for path in kept.iterdir()} == before
 
 
-def test_a_run_that_is_killed_while_it_saves_the_same_trials_again_keeps_a_checkpoint(
-    learner, tmp_path, monkeypatch
-):
-    kept = train.save_checkpoint(tmp_path, learner, {"seconds": 1.0})
-    rename = os.rename
-
-    def killed(source, target):
-        if source.suffix == ".unfinished":
-            raise SystemExit
-        rename(source, target)
-
-    monkeypatch.setattr(os, "rename", killed)
-    with pytest.raises(SystemExit):
-        train.save_checkpoint(tmp_path, learner, {"seconds": 2.0})
-    monkeypatch.undo()
-    assert runs_of.saved_trials(tmp_path) == learner.trials.count
-    assert state_of(tmp_path)["seconds"] == 1.0
-    assert train.save_checkpoint(tmp_path, learner, {"seconds": 3.0}) == kept
-    assert list(tmp_path.iterdir()) == [kept]
-    assert state_of(tmp_path)["seconds"] == 3.0
-
-
 def test_a_diverged_learner_is_not_saved_over_the_checkpoint_before(learner, tmp_path):
     kept = train.save_checkpoint(tmp_path, learner, {"seconds": 1.0})
     for name in ("actor", "critics"):
