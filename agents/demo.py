@@ -12,9 +12,6 @@ from pathlib import Path
 from hpac_gym.command import command_parser, minutes, run, whole_number
 from hpac_gym.output import writable_folder
 
-EVALUATION_MINUTES = (
-    5.0  # enough for 400 episodes of three policies; a slower machine evaluates fewer
-)
 RESULTS = (
     "learning_curve.png",
     "results.md",
@@ -24,31 +21,26 @@ RESULTS = (
     "replay.png",
     "grasps.mp4",
 )
-OBJECT = ("--object", "cylinder:0.027,0.05", "--pose", "0.048,0.004,0.112")
-"""What the camera would see on the deployment: a can in front of the open hand."""
-
-
-def steps(
-    out: Path, training_minutes: float, episodes: int, seed: int
-) -> list[tuple[str, list[str]]]:
-    """Title, and module with arguments, of every step."""
-    policy = str(out / "policy.hpac")
-    log = str(out / "deploy.jsonl")
-    train = ["agents.train", "grasp", "--out", str(out), "--seed", str(seed), "--overwrite"]
-    judge = ["hpac", "evaluate", "--policy", policy, "--episodes", f"{episodes}", "--workers", "2"]
-    results = ["--time-limit", f"{EVALUATION_MINUTES:g}", "--out", str(out / "results.json")]
-    film = ["--episodes", "4", "--record", str(out / "grasps.mp4")]
-    return [
-        ("Train from random weights", [*train, "--time-limit", f"{training_minutes:g}"]),
-        ("Judge it and the baselines", [*judge, *results]),
-        ("Draw the learning curve", ["agents.curves", str(out)]),
-        ("Film it", ["hpac", "show", "--policy", policy, *film]),
-        (
-            "Deploy it, through a serial port, on the firmware",
-            ["hpac", "deploy", policy, "--port", "host", *OBJECT, "--log", log],
-        ),
-        ("Compare the deployment", ["hpac", "replay", log, "--out", str(out / "replay.png")]),
-    ]
+STEPS = (
+    (
+        "Train from random weights",
+        "agents.train grasp --out {out} --seed {seed} --overwrite --time-limit {minutes:g}",
+    ),
+    (
+        "Judge it and the baselines",  # five minutes are enough; a slower machine judges fewer
+        "hpac evaluate --policy {out}/policy.hpac --episodes {episodes} --workers 2 --time-limit 5"
+        " --out {out}/results.json",
+    ),
+    ("Draw the learning curve", "agents.curves {out}"),
+    ("Film it", "hpac show --policy {out}/policy.hpac --episodes 4 --record {out}/grasps.mp4"),
+    (
+        "Deploy it, through a serial port, on the firmware",  # before the open hand stands a can
+        "hpac deploy {out}/policy.hpac --port host --object cylinder:0.027,0.05"
+        " --pose 0.048,0.004,0.112 --log {out}/deploy.jsonl",
+    ),
+    ("Compare the deployment", "hpac replay {out}/deploy.jsonl --out {out}/replay.png"),
+)
+"""Title, and module with arguments, of every step."""
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -62,9 +54,8 @@ def main(argv: list[str] | None = None) -> int:
     args = parser.parse_args(argv)
     writable_folder(args.out)
     started = time.monotonic()
-    for number, (title, words) in enumerate(
-        steps(args.out, args.minutes, args.episodes, args.seed)
-    ):
+    for number, (title, command) in enumerate(STEPS):
+        words = [word.format(**vars(args)) for word in command.split()]
         print(f"\n== {title}\n   python -m {' '.join(words)}", flush=True)
         status = subprocess.run([sys.executable, "-m", *words], check=False).returncode
         if status:
