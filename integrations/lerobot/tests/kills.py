@@ -43,34 +43,27 @@ SCRIPTS = {
     "rollout": lerobot_rollout,
 }
 TELEOP = (
-    "--teleop.type=hpac_policy",
-    "--teleop.policy=grasp",
-    "--teleop.object=cylinder:0.02,0.05",
-    "--teleop.pose=0.0485,0,0.12",
+    "--teleop.type=hpac_policy --teleop.policy=grasp --teleop.object=cylinder:0.02,0.05"
+    " --teleop.pose=0.0485,0,0.12"
 )
-QUIET = ("--dataset.push_to_hub=false", "--dataset.no_stamp=true", "--play_sounds=false")
+ARGUMENTS = {
+    "teleoperate": f"{TELEOP} --fps=20 --teleop_time_s=4",
+    "record": f"{TELEOP} --dataset.repo_id=test/hand --dataset.root={{out}}/episodes"
+    " --dataset.push_to_hub=false --dataset.no_stamp=true --play_sounds=false --dataset.fps=20"
+    " --dataset.episode_time_s=2 --dataset.reset_time_s=1 --dataset.num_episodes=2"
+    " --dataset.single_task=grasp",
+    "replay": "--dataset.repo_id=test/hand --dataset.root={data}/episodes --dataset.episode=0"
+    " --play_sounds=false",
+    "rollout": "--strategy.type=base --policy.path={data}/policy --fps=20 --duration=3"
+    " --device=cpu",
+}
+"""Of each script, with a data set and a policy in the folder `data`."""
 
 
 def words(script: str, port: str, data: Path, out: Path) -> list[str]:
-    """The arguments of a script that uses the data set and the policy in `data`."""
-    robot = ["--robot.type=hpac", f"--robot.port={port}", "--robot.id=test"]
-    stored = ["--dataset.repo_id=test/hand", f"--dataset.root={data / 'episodes'}"]
-    if script == "teleoperate":
-        return [*robot, *TELEOP, "--fps=20", "--teleop_time_s=4"]
-    if script == "replay":
-        return [*robot, *stored, "--dataset.episode=0", "--play_sounds=false"]
-    if script == "rollout":
-        return [
-            *robot,
-            "--strategy.type=base",
-            f"--policy.path={data / 'policy'}",
-            "--fps=20",
-            "--duration=3",
-            "--device=cpu",
-        ]
-    recorded = [f"--dataset.root={out / 'episodes'}", *stored[:1], *QUIET, "--dataset.fps=20"]
-    times = ["--dataset.episode_time_s=2", "--dataset.reset_time_s=1", "--dataset.num_episodes=2"]
-    return [*robot, *TELEOP, *recorded, *times, "--dataset.single_task=grasp"]
+    """The arguments of a script."""
+    told = f"--robot.type=hpac --robot.port={{port}} --robot.id=test {ARGUMENTS[script]}"
+    return [word.format(port=port, data=data, out=out) for word in told.split()]
 
 
 def untrained_policy(folder: Path) -> None:
