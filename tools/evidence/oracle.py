@@ -35,27 +35,6 @@ KNOWN = (wire.FAULT_ESTOP, wire.FAULT_WATCHDOG)
 """Faults whose cause the oracle has seen itself."""
 
 
-class Findings:
-    """The violations found so far.
-
-    Attributes:
-        complaints: rule, time [µs] and text of the first hundred violations, in order.
-        broken: number of violations, by rule.
-        tried: number of checks of each of `RULES`.
-    """
-
-    def __init__(self) -> None:
-        self.complaints: list[tuple[str, int, str]] = []
-        self.broken: Counter[str] = Counter()
-        self.tried: Counter[str] = Counter(dict.fromkeys(RULES, 0))
-
-    def complain(self, rule: str, now_us: int, text: str) -> None:
-        """Note a violation."""
-        self.broken[rule] += 1
-        if len(self.complaints) < 100:
-            self.complaints.append((rule, now_us, text))
-
-
 class Conversation:
     """What host and hand say: which messages the hand must refuse, and whether it may have pulses.
 
@@ -67,9 +46,9 @@ class Conversation:
     """
 
     def __init__(
-        self, findings: Findings, low: list[float], high: list[float], limits_hash: int
+        self, oracle: "Oracle", low: list[float], high: list[float], limits_hash: int
     ) -> None:
-        self._findings = findings
+        self._oracle = oracle
         self._limits_hash = limits_hash
         self._low = low
         self._high = high
@@ -98,7 +77,7 @@ class Conversation:
         """Record bytes that reached the hand."""
         for message in self._from_host.push(data):
             if message.kind == wire.ESTOP:  # from any sender, with any contents
-                self._findings.tried["estop"] += 1
+                self._oracle.tried["estop"] += 1
                 self.end(wire.DETACH, now_us, "estop")
             elif message.version == wire.VERSION:
                 self._waiting[message.kind, message.seq] = (now_us, message)
@@ -129,7 +108,7 @@ class Conversation:
                 if question is not None:
                     self._carried_out(sent_us, question)
                 elif message.payload[0] != wire.ESTOP:
-                    self._findings.complain(
+                    self._oracle.complain(
                         "accept",
                         now_us,
                         f"message {message.payload[0]} was carried out, but never came",
@@ -139,9 +118,9 @@ class Conversation:
                 self.end(wire.RELAX if overload else wire.DETACH, now_us, "silence")
 
     def _carried_out(self, now_us: int, message: wire.Message) -> None:
-        self._findings.tried["accept"] += 1
+        self._oracle.tried["accept"] += 1
         if (why := self._must_refuse(message)) is not None:
-            self._findings.complain(
+            self._oracle.complain(
                 "accept",
                 now_us,
                 f"message {message.kind} of sequence {message.seq} was carried out: {why}",
@@ -204,7 +183,7 @@ class Conversation:
         return None
 
 
-class Oracle(Findings):
+class Oracle:
     """Follows one hand from power-on and records every violation of the rules by its pulses.
 
     Args:
@@ -214,12 +193,17 @@ class Oracle(Findings):
 
     Attributes:
         said: takes the bytes that the hand receives and sends.
+        complaints: rule, time [µs] and text of the first hundred violations, in order.
+        broken: number of violations, by rule.
+        tried: number of checks of each of `RULES`.
     """
 
     def __init__(
         self, hand: Hand = HPAC, period_us: int = 1000, holds_unpowered: bool = False
     ) -> None:
-        super().__init__()
+        self.complaints: list[tuple[str, int, str]] = []
+        self.broken: Counter[str] = Counter()
+        self.tried: Counter[str] = Counter(dict.fromkeys(RULES, 0))
         self._holds = holds_unpowered
         low, high = (np.rint(1e4 * end) / 1e4 for end in (hand.servo_min, hand.servo_max))
         rate = np.broadcast_to(hand.servo_rate_limit, len(SERVOS))
@@ -233,6 +217,12 @@ class Oracle(Findings):
         packed = struct.pack("<63i", *HASHED, *map(int, np.ravel(numbers)))
         self.said = Conversation(self, self._low, self._high, zlib.crc32(packed))
         self.power_on()
+
+    def complain(self, rule: str, now_us: int, text: str) -> None:
+        """Note a violation."""
+        self.broken[rule] += 1
+        if len(self.complaints) < 100:
+            self.complaints.append((rule, now_us, text))
 
     def power_on(self) -> None:
         """Note a restart of the chip: no session, no pulses."""
