@@ -1,15 +1,15 @@
 """Simulated cameras, with a separate random stream of noise for every world."""
 
 from collections.abc import Iterable
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from math import inf
 
 import numpy as np
 
-from hpac_gym.errors import ParameterError
 from hpac_gym.model import JOINTS
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import SceneSetup, SceneState
+from hpac_gym.settings import check_bounds, setting
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,16 +20,21 @@ class CameraNoise:
         ParameterError: One is negative or not finite.
     """
 
-    position: float = 0.0015
-    """Noise of each coordinate, drawn every step [m]."""
-    angle: float = 0.02
-    """Noise of the rotation about each axis, drawn every step [rad]."""
-    size: float = 0.03
-    """Relative noise of each half-extent, drawn once per episode."""
+    position: float = setting(
+        0.0015, "noise of each coordinate, drawn every step [m]", bounds=(0.0, inf), unit="m"
+    )
+    angle: float = setting(
+        0.02,
+        "noise of the rotation about each axis, drawn every step [rad]",
+        bounds=(0.0, inf),
+        unit="rad",
+    )
+    size: float = setting(
+        0.03, "relative noise of each half-extent, drawn once per episode", bounds=(0.0, inf)
+    )
 
     def __post_init__(self) -> None:
-        if not all(0 <= deviation < inf for deviation in astuple(self)):
-            raise ParameterError(f"standard deviations of {self} must be finite and at least 0")
+        check_bounds(self, "noise")
 
 
 class ObjectCamera:

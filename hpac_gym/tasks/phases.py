@@ -1,20 +1,22 @@
 """The phases of a grasp, and of a pick and place, and the wrist's path through them."""
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from math import inf, pi, sin
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hpac_gym.errors import ParameterError
 from hpac_gym.model.checks import Array
 from hpac_gym.model.command import minimum_jerk
+from hpac_gym.settings import check_bounds, setting
 from hpac_gym.tasks.grip import MAX_SLIP
 
 CONTROL_HZ = 20
 """Commands per second [Hz]."""
 PHASES = ("close", "lift", "shake", "place")
+_duration = partial(setting, bounds=(0.0, inf), above=True, unit="s")
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,26 +24,33 @@ class Timetable:
     """Durations of the phases [s], and distances of the wrist's motion [m].
 
     Raises:
-        ValueError: A duration that is not positive, or a negative distance.
+        ParameterError: A duration that is not positive, a negative distance, or a clearance beyond
+            the lift.
     """
 
-    close_time: float = 1.2
-    lift_time: float = 0.6
-    lift_height: float = 0.12
-    shake_time: float = 0.9
-    shake_distance: float = 0.02
-    """Amplitude of the shake along x, then y, then z, so in six directions [m]."""
-    place_time: float = 0.5
-    clearance: float = MAX_SLIP
-    """Final height of the wrist above its start, so that a held object does not touch its support
-    at the end [m].
-    """
+    close_time: float = _duration(1.2)
+    lift_time: float = _duration(0.6)
+    lift_height: float = setting(0.12, bounds=(0.0, inf), unit="m")
+    shake_time: float = _duration(0.9)
+    shake_distance: float = setting(
+        0.02,
+        "amplitude of the shake along x, then y, then z, so in six directions [m]",
+        bounds=(0.0, inf),
+        unit="m",
+    )
+    place_time: float = _duration(0.5)
+    clearance: float = setting(
+        MAX_SLIP,
+        "final height of the wrist above its start, so that a held object does not touch its support at the end [m]",
+        bounds=(0.0, inf),
+        unit="m",
+    )
 
     def __post_init__(self) -> None:
-        _check_durations(self, (self.close_time, self.lift_time, self.shake_time, self.place_time))
-        if not (self.shake_distance >= 0 and 0 <= self.clearance <= self.lift_height):
-            raise ValueError(
-                f"distances of {self} must not be negative, nor the clearance beyond the lift"
+        check_bounds(self, "timetable")
+        if self.clearance > self.lift_height:
+            raise ParameterError(
+                f"timetable clearance = {self.clearance} m must be at most lift_height = {self.lift_height} m"
             )
 
     @property
@@ -74,17 +83,17 @@ class PickPlaceTimetable:
     and back.
 
     Raises:
-        ValueError: A duration that is not positive.
+        ParameterError: A duration that is not positive.
     """
 
-    reach_time: float = 0.6
-    close_time: float = 1.2
-    lift_time: float = 0.6
-    carry_time: float = 0.8
-    lower_time: float = 0.5
-    release_time: float = 0.8
-    retreat_time: float = 0.6
-    rest_time: float = 0.4
+    reach_time: float = _duration(0.6)
+    close_time: float = _duration(1.2)
+    lift_time: float = _duration(0.6)
+    carry_time: float = _duration(0.8)
+    lower_time: float = _duration(0.5)
+    release_time: float = _duration(0.8)
+    retreat_time: float = _duration(0.6)
+    rest_time: float = _duration(0.4)
     reach: tuple[float, float, float] = (0.04, 0.12, 0.0)
     """Displacement to the object, and reversed at the end, in the world [m]."""
     lift_height: float = 0.10
@@ -93,7 +102,7 @@ class PickPlaceTimetable:
     """Height above the target at which the object is released [m]."""
 
     def __post_init__(self) -> None:
-        _check_durations(self, self.durations)
+        check_bounds(self, "timetable")
 
     @property
     def durations(self) -> tuple[float, ...]:
@@ -137,11 +146,6 @@ class PickPlaceTimetable:
         for begin, duration, way in moves:
             offset += _shares(begin, duration, times)[:, None] * way
         return offset
-
-
-def _check_durations(timetable: Any, durations: tuple[float, ...]) -> None:
-    if not (min(durations) > 0 and sum(durations) < inf):
-        raise ValueError(f"durations of {timetable} must be finite and greater than 0 s")
 
 
 @lru_cache(maxsize=16)
