@@ -39,16 +39,16 @@ from hpac_gym.tasks.task import CONTROL_HZ, SUCCESS
 from hpac_gym.virtual.body import LockStep
 from hpac_gym.virtual.wire import BadTransport, Faults
 
+OTHER_NOISE = "good, other noise"
 LINKS: dict[str, Faults] = {
     "good": Faults(),
     "2 ms jitter": Faults(jitter=0.002),
     "16 ms latency": Faults(latency=0.016),
     "5 % lost": Faults(loss=0.05),
     "all three": Faults(jitter=0.002, latency=0.016, loss=0.05),
+    OTHER_NOISE: Faults(),
 }
 """What is wrong with the link."""
-OTHER_NOISE = "good, other noise"
-LINKS |= {OTHER_NOISE: Faults()}
 NOISE = CameraNoise(size=0.0)
 OUT = Path("docs/results/experiments/deployed.json")
 

@@ -44,12 +44,12 @@ FREE = 10
 """Control steps in which no digit touches yet."""
 TOUCH = 0.02
 """Force below which a digit is free [N]."""
-Act = Callable[[], Array]
-"""Decisions for all hands now, shape (n, 6)."""
 
 
-def episodes_of(env: Hands, act: Act, seed: int) -> dict[str, Array]:
-    """Outcome of one episode of each world, from consecutive seeds."""
+def episodes_of(env: Hands, act: Callable[[], Array], seed: int) -> dict[str, Array]:
+    """Outcome of one episode of each world, from consecutive seeds; `act` returns decisions for all
+    hands now, shape (n, 6).
+    """
     env.seed(seed)
     env.reset()
     limit = env.episodes.task.crush_limit.copy()

@@ -1,6 +1,6 @@
 """`hpac calibrate` on hidden hands: error of the written file, and coverage of its intervals."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -97,11 +97,10 @@ class HiddenHand:
     """Mean absolute error of the written file, where no joint is at a stop, by joint; NaN for the
     CMC [°].
     """
-    inside: Mapping[str, list[bool]]
-    """Whether the intervals contain the truth, by combination, over the digits; empty if the laws
-    have no such number.
+    estimates: Sequence[tuple[str, bool, float]]
+    """Each combination of each digit: its name, whether its interval contains the truth, and the
+    share that the data tell; empty if the laws have no such number.
     """
-    told: Mapping[str, list[float]]
     stops_missed: int
     """Number of digits with a joint at its stop for two points or more that the report does not
     mention.
@@ -128,10 +127,9 @@ def judge_hand(
         identified = identify(record, hold_out=True)
         written = hand_from_toml(hand_to_toml(identified.hand), "the calibrated hand")
     except (RecordError, IdentificationError):
-        return HiddenHand(errors, {}, {}, 0, refused=True)
+        return HiddenHand(errors, (), 0, refused=True)
     off = np.degrees(np.abs(settled_joints_from_servo(servo, written) - truth))
-    inside = {}
-    told = {}
+    estimates = []
     missed = 0
     for column, (name, digit) in enumerate(built.hand.digits.items()):
         joints = [JOINT_INDEX[joint] for joint in digit.joints]
@@ -143,9 +141,9 @@ def judge_hand(
         missed += int((~free).sum() * 31 / len(servo) >= 2 and not fit.samples.at_stops)
         if know_truth:
             for item, true in zip(fit.estimates, values(swept_digit(built, column)), strict=True):
-                inside.setdefault(item.name, []).append(bool(item.low <= true <= item.high))
-                told.setdefault(item.name, []).append(item.told)
-    return HiddenHand(errors, inside, told, missed)
+                inside = bool(item.low <= true <= item.high)
+                estimates.append((item.name, inside, item.told))
+    return HiddenHand(errors, estimates, missed)
 
 
 def without_frames(record: Sweep, seed: int, number: int) -> Sweep:
@@ -205,12 +203,13 @@ def _errors(hands: Sequence[HiddenHand]) -> Array:
     return errors[~np.isnan(errors)]
 
 
-def _pooled(tables: Sequence[Mapping[str, list[float]]]) -> dict[str, float]:
-    """Means by combination, over hands and digits."""
-    names = dict.fromkeys(
-        item.name for digit in ("index", "thumb") for item in combinations(HPAC.digits[digit])
-    )
-    pooled = {name: [value for entry in tables for value in entry.get(name, ())] for name in names}
+def _pooled(hands: Sequence[HiddenHand], place: int) -> dict[str, float]:
+    """Means of one entry of the estimates by combination, over hands and digits."""
+    pooled: dict[str, list[float]] = {
+        item.name: [] for digit in ("index", "thumb") for item in combinations(HPAC.digits[digit])
+    }
+    for estimate in (estimate for hand in hands for estimate in hand.estimates):
+        pooled[estimate[0]].append(estimate[place])
     return {name: float(np.mean(values)) for name, values in pooled.items() if values}
 
 
@@ -233,8 +232,8 @@ COLUMNS = (
     Column("stops_missed", "stops missed", lambda hands: sum(hand.stops_missed for hand in hands)),
 )
 COVERAGE = (
-    Column("coverage", "", lambda hands: _pooled([hand.inside for hand in hands])),
-    Column("told", "", lambda hands: _pooled([hand.told for hand in hands])),
+    Column("coverage", "", lambda hands: _pooled(hands, 1)),
+    Column("told", "", lambda hands: _pooled(hands, 2)),
 )
 """Coverage of the intervals, which has a separate table in the report."""
 

@@ -23,7 +23,6 @@ from typing import Any
 
 from hpac_gym.command import command_parser, run, whole_number
 from hpac_gym.errors import HpacError
-from hpac_gym.physics.settings import WorldSettings
 from hpac_gym.physics.simulation import ENGINES
 
 WORKER = Path(__file__).with_name("env_bench_worker.py")
@@ -125,11 +124,7 @@ def peers_python() -> str:
 
 
 def measure(
-    engines: Sequence[str],
-    num_envs: Sequence[int],
-    peers: Sequence[str],
-    rounds: int,
-    physics_hz: int,
+    engines: Sequence[str], num_envs: Sequence[int], peers: Sequence[str], rounds: int
 ) -> Report:
     """Time all environments, in rounds in which all take turns.
 
@@ -138,7 +133,6 @@ def measure(
         num_envs: sizes of the vector environments; two threads are measured at the largest.
         peers: ids from `PEERS`.
         rounds: number of rounds.
-        physics_hz: physics steps per second.
 
     Raises:
         BenchError: An environment failed, or the peers cannot be installed.
@@ -151,15 +145,14 @@ def measure(
             return made
 
         most = max(num_envs)
-        rate = {"physics_hz": physics_hz}
         hands = {
-            (e, n): worker(kind="hands", engine=e, num_envs=n, threads=1, **rate)
+            (e, n): worker(kind="hands", engine=e, num_envs=n, threads=1)
             for e in engines
             for n in num_envs
         }
         turns = [(key, each, max(STEPS // key[1], 4)) for key, each in hands.items()]
         if "mujoco" in engines:
-            two = worker(kind="hands", engine="mujoco", num_envs=most, threads=2, **rate)
+            two = worker(kind="hands", engine="mujoco", num_envs=most, threads=2)
             turns.append(("two", two, max(STEPS // most, 4)))
         turns += [
             (name, worker(peers_python(), kind="peer", name=name, module=PEERS[name]), STEPS)
@@ -250,13 +243,6 @@ def main(argv: list[str] | None = None) -> int:
         "--rounds", type=whole_number(1), default=9, metavar="N", help="number of rounds"
     )
     parser.add_argument(
-        "--physics-hz",
-        type=whole_number(1),
-        default=WorldSettings().physics_hz,
-        metavar="HZ",
-        help="physics steps per second",
-    )
-    parser.add_argument(
         "--no-peers", action="store_true", help="without the other libraries (they need a download)"
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
@@ -274,7 +260,7 @@ def main(argv: list[str] | None = None) -> int:
         if arguments.no_peers
         else [name for name in PEERS if "panda" not in PEERS[name] or sys.version_info < (3, 12)]
     )
-    report = measure(engines, arguments.num_envs, peers, arguments.rounds, arguments.physics_hz)
+    report = measure(engines, arguments.num_envs, peers, arguments.rounds)
     print(json.dumps(report, indent=2) if arguments.json else "\n".join(lines(report)))
     return 0
 

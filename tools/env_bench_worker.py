@@ -53,11 +53,10 @@ class Hands:
     `gymnasium.make` makes it.
     """
 
-    def __init__(self, engine: str, num_envs: int, threads: int, physics_hz: int) -> None:
+    def __init__(self, engine: str, num_envs: int, threads: int) -> None:
         from hpac_gym.body.objects import ObjectSpec
         from hpac_gym.envs import Grasp, HandEnv, HandVectorEnv
         from hpac_gym.physics.engine import SceneSetup
-        from hpac_gym.physics.settings import WorldSettings
         from hpac_gym.physics.simulation import make_engine
 
         can = ObjectSpec("cylinder", (0.027, 0.027, 0.05), mass=0.15, friction=0.9)
@@ -65,7 +64,7 @@ class Hands:
         self.options = {"setup": SceneSetup(can, np.array([0.048, 0.004, 0.112]), 0.0, opposed)}
         if hasattr(os, "sched_setaffinity"):  # an engine uses one thread per available processor
             os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:threads])
-        self.physics = Stopwatch(make_engine(engine, num_envs, WorldSettings(physics_hz)))
+        self.physics = Stopwatch(make_engine(engine, num_envs))
         self.num_envs = num_envs
         self.env = (
             HandEnv(Grasp(), physics=self.physics)

@@ -30,9 +30,6 @@ class ReleaseError(HpacError, RuntimeError):
     """Something of the release is not in order; nothing was tagged."""
 
 
-Step = Callable[[Path], None]
-
-
 def called(*words: object, cwd: Path, shown: bool = False) -> str:
     """Standard output of a command that has to succeed; shown instead of returned if `shown`.
 
@@ -105,11 +102,13 @@ def tag(root: Path) -> None:
     called("git", "tag", "-a", f"v{__version__}", "-m", f"hpac_gym {__version__}", cwd=root)
 
 
-CHECKS: tuple[Step, ...] = (clean_tree, changelog, tests, build, clean_environment)
+CHECKS = (clean_tree, changelog, tests, build, clean_environment)
 """What has to pass before the tag, in order."""
 
 
-def release(root: Path, checks: Sequence[Step] = CHECKS, dry_run: bool = False) -> None:
+def release(
+    root: Path, checks: Sequence[Callable[[Path], None]] = CHECKS, dry_run: bool = False
+) -> None:
     """Pass every check, then tag.
 
     Raises:
