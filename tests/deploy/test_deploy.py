@@ -46,8 +46,8 @@ PLACE = Pose(np.array([0.05, 0.005, 0.11]))
 WORDS = ("grasp", "--object", "cylinder:0.02,0.05", "--pose", "0.05,0.005,0.11")
 
 
-def told(capsys, *words):
-    status = hpac.main(["deploy", *words])
+def told(capsys, *words, command="deploy"):
+    status = hpac.main([command, *map(str, words)])
     return status, capsys.readouterr()
 
 
@@ -715,14 +715,9 @@ def log(tmp_path, capsys):
     return path
 
 
-def replayed(capsys, *words):
-    status = hpac.main(["replay", *map(str, words)])
-    return status, capsys.readouterr()
-
-
 def test_a_log_is_played_beside_a_simulation(log, capsys):
     picture = log.with_suffix(".png")
-    status, said = replayed(capsys, log, "--out", picture)
+    status, said = told(capsys, log, "--out", picture, command="replay")
     assert (status, said.err) == (0, "")
     lines = said.out.splitlines()
     assert lines[0] == "grasp on virtual, 64 steps, ended: done"
@@ -736,7 +731,7 @@ def test_what_a_policy_needed_of_its_environment_is_played_too(tmp_path, capsys,
     log = tmp_path / "log.jsonl"
     words = ("grasp-any-wrist", *WORDS[1:], "--port", "virtual", "--arm", "enter")
     assert told(capsys, *words, "--log", str(log))[0] == 0
-    status, said = replayed(capsys, log)
+    status, said = told(capsys, log, command="replay")
     assert (status, said.err) == (0, "")
     assert said.out.startswith("grasp-any-wrist on virtual, 144 steps, ended: done")
 
@@ -746,7 +741,7 @@ def test_nothing_is_compared_after_the_end_of_the_simulation(tmp_path, capsys):
     words = ("pick-place", *WORDS[1:], "--port", "virtual", "--log", str(log))
     with pytest.warns(UserWarning, match="PickPlace-v0 draws it at"):
         assert told(capsys, *words)[0] == 0
-    status, said = replayed(capsys, log)
+    status, said = told(capsys, log, command="replay")
     assert (status, said.err) == (0, "")
     lines = said.out.splitlines()
     assert float(lines[1].split()[3]) < 0.15
@@ -769,7 +764,7 @@ def test_an_object_that_moved_is_told(log, capsys):
         row["position"][1] += 0.05
     del rows[0]["options"]  # as in older logs
     log.write_text("\n".join(map(json.dumps, rows)))
-    assert "apart from 0.4" in replayed(capsys, log)[1].out
+    assert "apart from 0.4" in told(capsys, log, command="replay")[1].out
 
 
 HEAD = '{"hpac_deploy": 1, "env_id": "", "grasp": null, "object": "", "policy": "", "port": ""}'
@@ -778,7 +773,7 @@ HEAD = '{"hpac_deploy": 1, "env_id": "", "grasp": null, "object": "", "policy": 
 def test_a_log_that_was_cut_short_is_read(log, capsys):
     text = log.read_text()
     log.write_text(text[: len(text) // 2])
-    status, said = replayed(capsys, log)
+    status, said = told(capsys, log, command="replay")
     assert status == 0
     assert "ended: cut short" in said.out
 
