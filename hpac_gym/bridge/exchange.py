@@ -220,7 +220,8 @@ class Exchange:
         """Write a frame to the port before counting and logging it, so that nothing delays it."""
         data = encode(frame)
         self.sent[frame.name] += 1
-        self.known.about_to_send(frame.name)
+        if frame.name == "arm":  # from now on, even if this fails
+            self.known.may_have_power = True
         try:
             self.transport.write(data)
         except PortError:

@@ -179,10 +179,6 @@ class KnownState:
         self.fault = Fault.none.name
         self.may_have_power = True
 
-    def about_to_send(self, name: str) -> None:
-        """Record a message before it is sent: from ARM on, the hand may have pulses."""
-        self.may_have_power = self.may_have_power or name == "arm"
-
     def take_in(self, frame: Frame, answered: str | None = None) -> None:
         """Update the state from a frame of the hand; `answered` names the message that it
         answers.

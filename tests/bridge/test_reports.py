@@ -112,10 +112,6 @@ def test_only_an_answer_that_says_so_means_no_power(frame, answered, may_have_po
     assert known.may_have_power
     known.take_in(frame, answered)
     assert known.may_have_power is may_have_power
-    known.about_to_send("move")
-    assert known.may_have_power is may_have_power
-    known.about_to_send("arm")
-    assert known.may_have_power
 
 
 def test_a_fault_is_known_until_the_hand_says_otherwise():
