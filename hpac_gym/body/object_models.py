@@ -29,9 +29,9 @@ _AXES = {
     "z": np.eye(3),
 }
 FIELDS = {"about", "size", "mass", "shape", "color", "solids"}
-"""Fields of an object in a file."""
-SOURCE_FIELDS = {"source", "published", "chosen"}
-"""Fields of a real object that tell where its numbers are from; tests compare them with the model."""
+"""Fields of an object in a file; a real one has `source`, `published` and `chosen` too, which tell
+where its numbers are from.
+"""
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hpac_gym.body.geometry import table_of
-from hpac_gym.body.object_models import FIELDS, SOURCE_FIELDS, load_object_models
+from hpac_gym.body.object_models import FIELDS, load_object_models
 from hpac_gym.body.object_sets import (
     SPAN,
     SPLITS,
@@ -37,6 +37,7 @@ SOURCES = {
     if name != "friction_of_named_objects"
 }
 """Entries of the real objects, with the sources of their numbers."""
+SOURCE_FIELDS = {"source", "published", "chosen"}
 MEASURES = {"x", "y", "z", "mass"}
 
 
