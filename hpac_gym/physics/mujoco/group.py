@@ -99,12 +99,10 @@ class Group:
         servo_vel = servo_vel[rows]
         n, steps, _ = servo_vel.shape
         control = np.empty((n, steps, model.nu))
-        drives = control[..., : len(SERVOS)]
-        np.multiply(self.parameters.lead[rows, None], servo_vel, out=drives)
-        np.add(servo[rows], drives, out=drives)
+        control[..., : len(SERVOS)] = servo[rows] + self.parameters.lead[rows, None] * servo_vel
         slides = control[..., len(SERVOS) : -len(DIGITS)]
         slides[:] = wrist[rows, :, : slides.shape[-1]]
-        np.maximum(servo_vel[..., : len(DIGITS)], 0.0, out=control[..., -len(DIGITS) :])
+        control[..., -len(DIGITS) :] = np.maximum(servo_vel[..., : len(DIGITS)], 0.0)
         columns = CONTROLS
         pushed = push is not None and self.at.object >= 0
         if pushed:
