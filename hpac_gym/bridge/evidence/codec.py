@@ -4,7 +4,7 @@ It imports nothing from the link, its codec or the firmware core.
 
 import struct
 import zlib
-from dataclasses import dataclass
+from collections import namedtuple
 
 VERSION = 2
 HELLO, ARM, MOVE, HEARTBEAT, ESTOP, CLEAR, STATUS = range(1, 8)
@@ -48,15 +48,8 @@ def unseal(piece: bytes) -> tuple[bytes, bool] | None:
     return data[:-4], zlib.crc32(data[:-4]) == struct.unpack("<I", data[-4:])[0]
 
 
-@dataclass(frozen=True, slots=True)
-class Message:
-    """An intact frame."""
-
-    version: int
-    kind: int
-    seq: int
-    flags: int
-    payload: bytes
+Message = namedtuple("Message", "version kind seq flags payload")
+"""An intact frame: integers, and the bytes of its payload."""
 
 
 class Reader:
