@@ -143,7 +143,6 @@ def settled_digit(
     # Below this angle friction alone holds the spring.
     slack_below = max(-statics.load_offset / statics.load_slope, 0.0)
     stretch = np.zeros_like(horn)
-    root = np.zeros_like(horn)
     for _ in range(_ITERATIONS):
         chord = rest_chord - np.maximum(digit.servo_radius * horn - stretch, 0.0)
         root = digit.alpha - included_from_chord(guide_sum, guide_product, chord)
