@@ -62,10 +62,9 @@ class Hands(VecEnvWrapper):
         self.scale = np.ones(self.seen)
         self.ended = self.steps = 0
         size = self.seen + self._truth().shape[1]
-        bound = OBSERVATION_CLIP
         super().__init__(
             env,
-            Box(-bound, bound, (size,), np.float32),
+            Box(-OBSERVATION_CLIP, OBSERVATION_CLIP, (size,), np.float32),
             Box(-MEAN_CLIP, MEAN_CLIP, (6,), np.float32),
         )
 
@@ -85,10 +84,8 @@ class Hands(VecEnvWrapper):
         begun = MOVES.begin(seen[done])
         for entry in fields(begun):
             getattr(self.recent, entry.name)[done] = getattr(begun, entry.name)
-        observed = self._observed()
-        for world in np.flatnonzero(done):  # no episode is truncated, so that nobody reads it
-            infos[world]["terminal_observation"] = observed[world]
-        return observed, 0.1 * reward, done, infos
+        # No episode is truncated, so that nobody reads the last observations in the infos.
+        return self._observed(), 0.1 * reward, done, infos
 
     def _observed(self) -> Array:
         shown = scaled(MOVES.shown(self.recent), self.mean, self.scale)

@@ -4,20 +4,16 @@ import numpy as np
 import pytest
 
 from agents.curves import read_curve, report
-from agents.progress import Progress, drop_rows_after
-
-
-def go_on(folder, done: int, end: int) -> None:
-    """Train from one number of trials to another, a thousand at a time, of which half hold."""
-    progress = Progress(folder, 10_000, 10**9, done)
-    while progress.done < end:
-        progress.add([True, False] * 500, 20_000, lambda: {"entropy": -0.5})
-    progress.close()
+from agents.progress import Progress
 
 
 @pytest.fixture
 def curve(tmp_path):
-    go_on(tmp_path, 0, 5000)
+    """Of 5000 trials, a thousand at a time, of which half hold."""
+    progress = Progress(tmp_path, 5_000, 10**9)
+    while progress.going:
+        progress.add([True, False] * 500, 20_000, lambda: {"entropy": -0.5})
+    progress.close()
     return tmp_path / "progress.csv"
 
 
@@ -33,14 +29,6 @@ def test_the_last_row_counts_no_trial_for_which_the_run_has_no_room(tmp_path):
     assert not progress.going
     columns = read_curve(tmp_path / "progress.csv")
     assert (columns["episodes"], columns["success_rate"], columns["window"]) == (600, 1.0, 600)
-
-
-def test_rows_after_a_checkpoint_and_half_rows_are_taken_back(curve):
-    with curve.open("a") as file:
-        file.write("30")
-    drop_rows_after(curve, 3000)
-    go_on(curve.parent, 3000, 4000)
-    assert np.array_equal(read_curve(curve)["episodes"], [1000, 2000, 3000, 4000])
 
 
 def test_a_report_draws_what_there_is(curve):
