@@ -134,10 +134,9 @@ def train(
             saved = learner.trials.count
             save()
             begin_episodes()
-    progress.close()
     save()
-    for source in sources:
-        source.close()
+    for closed in (progress, *sources):
+        closed.close()
     print(
         f"{progress.stopped_by or 'done'} after {learner.trials.count:,} trials: {out / POLICY}",
         file=sys.stderr,

@@ -180,6 +180,7 @@ def test_a_training_takes_no_more_steps_than_it_may(tmp_path):
     assert about["env_steps"] >= about["episodes"] * 20, (
         "a trial takes at least as long as the closing"
     )
+    assert len(list((tmp_path / "tensorboard").iterdir())) == 1, "the last row is in the same file"
 
 
 def test_a_new_run_keeps_nothing_of_the_one_that_it_replaces(tmp_path):
