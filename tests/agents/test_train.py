@@ -259,20 +259,6 @@ def test_a_training_that_ends_before_its_first_trial_can_be_resumed(tmp_path):
     assert curve(tmp_path)[-1] == 24
 
 
-def test_a_checkpoint_restores_the_learner_whole(learner, recipe, tmp_path):
-    path = train.save_checkpoint(tmp_path, learner, {"seconds": 1.0})
-    other = Learner(recipe, observed=60, deployed=44, phases=4)
-    assert runs_of.load_checkpoint(path, other, {})["seconds"] == 1.0
-    assert (other.updates, other.trials.count) == (learner.updates, learner.trials.count) == (5, 30)
-    assert np.array_equal(other.trials.seen, learner.trials.seen)
-    saved, loaded = (one.arrays() for one in (learner, other))
-    assert sum("/state/" in name for name in saved) > 20, "optimisers have a state"
-    assert list(saved) == list(loaded)
-    assert all(np.array_equal(array, loaded[name]) for name, array in saved.items())
-    seen = np.linspace(-1, 1, 44)
-    assert np.array_equal(other.networks.policy()(seen), learner.networks.policy()(seen))
-
-
 def test_the_exported_actor_acts_as_the_learner_does_without_its_exploration(learner):
     narrow = copy.deepcopy(learner)
     narrow.networks.actor.log_std.bias.data.fill_(-100.0)  # clamped to the narrowest distribution
