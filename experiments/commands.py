@@ -12,7 +12,7 @@ import numpy as np
 from experiments.bench import JointCamera, Protocol, metal_sweeps
 from experiments.populations import ALL_BELOW_DEG, NINE, Workshop, build
 from experiments.quasistatic import Built, hand_course
-from experiments.results import Column, Part, range_of, rows_of, table
+from experiments.results import Column, Part, part_of, range_of
 from hpac_gym.calibration.identification import identify
 from hpac_gym.model import (
     HPAC,
@@ -155,12 +155,13 @@ def commands(
     built = build(workshop, count, seed)
     records = metal_sweeps(built, seed, CAMERA, Protocol(both_directions=True), servos=SERVOS[:-1])
     identified = [identify(record).hand for record in progress(records, "calibrations")]
-    rows = rows_of(
-        COLUMNS,
-        {item: errors_of_map(item, built, identified) for item in progress(maps, "command maps")},
+    found = {
+        item: errors_of_map(item, built, identified) for item in progress(maps, "command maps")
+    }
+    title = (
+        f"Commands: {count} hands ({name}), seed {seed}, one sweep each; median and the middle 95 %"
     )
-    title = f"## Commands: {count} hands ({name}), seed {seed}, one sweep each; median and the middle 95 %"
-    return Part(f"{title}\n\n{table('map', COLUMNS, rows)}\n", rows)
+    return part_of(title, "map", COLUMNS, found)
 
 
 def errors_of_map(name: str, built: list[Built], identified: list[Hand]) -> MapErrors:

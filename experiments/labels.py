@@ -6,7 +6,7 @@ import numpy as np
 
 from experiments.bench import Protocol, metal_sweeps
 from experiments.hidden import CAMERA, LAWS, hidden_hands, measured_in_physics, without_frames
-from experiments.results import Column, Part, rows_of, table
+from experiments.results import Column, Part, part_of
 from hpac_gym.calibration.judging import judged
 from hpac_gym.calibration.record import EXTENDING, RecordError, Sweep, joints_of_servo
 from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, SERVOS
@@ -102,8 +102,5 @@ def labels(count: int, seed: int, in_physics: int = 0) -> Part:
         judgements[name] = {
             kind: [result for part in parts for result in part[kind]] for kind in KINDS
         }
-    rows = rows_of(LABEL_COLUMNS, judgements)
-    return Part(
-        f"## Exchanged labels of joints, hidden hands, seed {seed}\n\n{table('hidden', LABEL_COLUMNS, rows)}\n",
-        rows,
-    )
+    title = f"Exchanged labels of joints, hidden hands, seed {seed}"
+    return part_of(title, "hidden", LABEL_COLUMNS, judgements)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from experiments.quasistatic import Built, Metal, hand_course
-from experiments.results import Column, Part, range_of, rows_of, table
+from experiments.results import Column, Part, part_of, range_of
 from hpac_gym.calibration.accuracy import EVALUATED
 from hpac_gym.model import (
     HPAC,
@@ -211,9 +211,8 @@ def populations(count: int, seed: int) -> Part:
         name: errors_of(build(shop, count, seed))
         for name, shop in progress(WORKSHOPS.items(), "populations")
     }
-    rows = rows_of(COLUMNS, errors)
-    title = f"## Populations: {count} hands each, seed {seed}; median and the middle 95 %"
-    return Part(f"{title}\n\n{table('hands', COLUMNS, rows)}\n", rows)
+    title = f"Populations: {count} hands each, seed {seed}; median and the middle 95 %"
+    return part_of(title, "hands", COLUMNS, errors)
 
 
 # Contribution of each cause ----------------------------------------------------------
@@ -249,12 +248,6 @@ def causes() -> Part:
         "guide pins of 2 mm": alone(guide_radius=1e-3),
     }
     errors = errors_of(list(built.values()))
-    rows = rows_of(
-        CAUSE_COLUMNS,
-        dict(zip(built, zip(errors.compensated, errors.driven, strict=True), strict=True)),
-    )
-    head = "cause, alone, on the nominal hand"
-    return Part(
-        f"## What each cause adds to the compensated error\n\n{table(head, CAUSE_COLUMNS, rows)}\n",
-        rows,
-    )
+    found = dict(zip(built, zip(errors.compensated, errors.driven, strict=True), strict=True))
+    title = "What each cause adds to the compensated error"
+    return part_of(title, "cause, alone, on the nominal hand", CAUSE_COLUMNS, found)

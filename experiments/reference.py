@@ -152,14 +152,9 @@ def seeds(count: int, speeds: Mapping[float, float]) -> Part:
         for seconds, share in speeds.items()
         for seed in range(max(round(share * count), 1))
     ]
-    judged = [
-        (seconds, accuracy_of_seed(seed, seconds))
-        for seed, seconds in progress(jobs, "seeds and speeds")
-    ]
-    runs = {
-        f"{speed:g}": [run for seconds, run in judged if seconds == speed]
-        for speed in sorted(speeds)
-    }
+    runs: dict[str, list[Accuracy]] = {f"{speed:g}": [] for speed in sorted(speeds)}
+    for seed, seconds in progress(jobs, "seeds and speeds"):
+        runs[f"{seconds:g}"].append(accuracy_of_seed(seed, seconds))
     title = (
         "## The reference sweep, other seeds and speeds; median and the middle 95 % of the seeds"
     )

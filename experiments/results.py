@@ -114,6 +114,16 @@ def table(first: str, columns: Sequence[Column], rows: Mapping[str, Mapping[str,
     return markdown((first, *(column.heading for column in columns)), body)
 
 
+def part_of(
+    title: str, first: str, columns: Sequence[Column], found: Mapping[str, Any], **more: Any
+) -> Part:
+    """The part whose report is one table and whose data are its rows; `more` are its figures and their
+    caption.
+    """
+    rows = rows_of(columns, found)
+    return Part(f"## {title}\n\n{table(first, columns, rows)}\n", rows, **more)
+
+
 def log_ticks(axis: Axis, ticks: Sequence[float]) -> None:
     """Make one axis of a plot logarithmic, with only the given ticks."""
     axis.axes.set(**{f"{axis.axis_name}scale": "log"})

@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from experiments.reference import Reference
-from experiments.results import Column, Interval, Part, mean_of, rows_of, table
+from experiments.results import Column, Interval, Part, mean_of, part_of
 from hpac_gym.calibration.processing import points, processed
 from hpac_gym.calibration.record import EXTENDING, FLEXING, Sweep, concatenate, joints_of_servo
 from hpac_gym.figures import BLUE, GREY, label, new_figure
@@ -109,11 +109,14 @@ COLUMNS = (
 def trials(reference: Reference, count: int, seed: int) -> Part:
     """Hysteresis and repeatability of every joint."""
     joints = by_joint(points(processed(run_trials(reference, count, seed))))
-    rows = rows_of(COLUMNS, {label(name): joint for name, joint in joints.items()})
-    title = f"## Both directions and repeated trials: {count} trials, seed {seed}; mean and 95 % interval"
-    text = f"{title}\n\n{table('joint', COLUMNS, rows)}\n"
-    caption = f"reference hand, {count} trials, seed {seed}"
-    return Part(text, rows, {"hysteresis": hysteresis_figure(joints)}, caption)
+    return part_of(
+        f"Both directions and repeated trials: {count} trials, seed {seed}; mean and 95 % interval",
+        "joint",
+        COLUMNS,
+        {label(name): joint for name, joint in joints.items()},
+        figures={"hysteresis": hysteresis_figure(joints)},
+        caption=f"reference hand, {count} trials, seed {seed}",
+    )
 
 
 def hysteresis_figure(joints: dict[str, JointTrials]) -> Figure:

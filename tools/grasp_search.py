@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from hpac_gym.command import command_parser, run, whole_number
 from hpac_gym.envs.randomization import PRESETS
-from hpac_gym.model import FINGERS, HPAC, JOINT_INDEX, joints_from_synergy
+from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, joints_from_synergy
 from hpac_gym.model.checks import Array
 from hpac_gym.output import write_text
 from hpac_gym.physics.simulation import SET_UPS
@@ -126,10 +126,9 @@ def write(grasp_type: GraspType) -> None:
     joints = np.minimum(
         joints_from_synergy(start.closed).round(3), np.floor(1e3 * HPAC.joint_max) / 1e3
     )
-    parts = {"thumb": ("ip", "mp", "cmc"), **dict.fromkeys(FINGERS, ("dip", "pip", "mcp"))}
     targets = {
-        digit: [joints[JOINT_INDEX[f"{digit}_{part}"]] for part in names]
-        for digit, names in parts.items()
+        digit: [joints[JOINT_INDEX[name]] for name in JOINTS if name.startswith(digit)]
+        for digit in HPAC.digits
     }
     replace_values(POSTURES_FILE, start.name, targets)
     replace_values(
