@@ -279,6 +279,9 @@ def main() -> int:
         flags = ("-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
         workshops = [plain, Workshop(Path(folder) / "sanitized", options.cc, flags)]
         sources = [*plain.core, *plain.port]
+        names = [path.name for path in sources]
+        if unknown := set(options.files) - set(names):
+            parser.error(f"no source '{min(unknown)}': there are {', '.join(names)}")
         chosen = [path for path in sources if not options.files or path.name in options.files]
         mutants = [mutant for source in chosen for mutant in mutants_of(source)]
         if options.sample is not None:

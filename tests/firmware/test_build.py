@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.processes import python
+
 FIRMWARE = Path(__file__).parents[2] / "firmware"
 
 
@@ -19,6 +21,12 @@ def test_a_missing_compiler_is_one_clear_line_and_status_2(tmp_path):
     lines = [line for line in answer.stderr.splitlines() if not line.startswith("make")]
     assert len(lines) == 1
     assert "no C compiler 'no-such-cc'" in lines[0]
+
+
+def test_mutants_of_a_source_that_there_is_not_are_refused_with_those_that_there_are():
+    answer = python(str(FIRMWARE / "test" / "mutants.py"), "none.c")
+    assert answer.returncode == 2
+    assert "no source 'none.c': there are hpac_answer.c" in answer.stderr
 
 
 @pytest.mark.parametrize(
