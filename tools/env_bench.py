@@ -44,6 +44,8 @@ PEER_PACKAGES = (
     "gymnasium==1.4.0",
     "numpy==2.4.6",
 )
+GOALS = {"pybullet": 1.3, "mujoco": 2.0}
+"""Wanted ratio of a single environment's rate to that of the faster peer, by engine (chosen)."""
 
 Report = dict[str, Any]
 
@@ -214,7 +216,8 @@ def lines(report: Report) -> list[str]:
                 f"reset of a world {answer['reset_ms'][n]:.2f} ms",
             ]
             if peers:
-                told.append(f"× {rate / max(peers.values()):.2f} of the faster peer")
+                goal = f" (goal {GOALS[name]:g})" if n == "1" else ""
+                told.append(f"× {rate / max(peers.values()):.2f} of the faster peer{goal}")
             text.append(f"  {name:<24} {rate:6.0f}   {', '.join(told)}")
         for name, rate in peers.items() if n == "1" else ():
             hz = f"{report['peers_control_hz'][name]:g} commands a second"

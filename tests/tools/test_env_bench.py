@@ -30,7 +30,9 @@ def test_one_environment_is_printed_first_beside_the_peers_and_their_faster_one_
     for line, name in zip(text[2:6], (*REPORT["engines"], *REPORT["peers"]), strict=True):
         assert line.split()[0] == name
     assert "130   engine's share 60%, reset of a world 0.30 ms, × 1.30 of the faster" in text[2]
+    assert text[2].endswith("peer (goal 1.3)")
     assert "300   engine's share 90%, reset of a world 0.30 ms, × 3.00 of the faster" in text[8]
+    assert text[8].endswith("peer")
     assert text[-1].endswith("× 1.80; two processes of plain arithmetic × 1.90")
 
 
