@@ -31,5 +31,6 @@ def udp(what: str, host: str, port: int, bind: bool = False) -> socket.socket:
             made.connect((host, port))
     except (OSError, OverflowError) as error:
         made.close()
-        raise DeployError(f"{what}: {error}") from None
+        reason = getattr(error, "strerror", error)
+        raise DeployError(f"{what}: {reason}") from None
     return made
