@@ -8,9 +8,12 @@ import errno
 import json
 import os
 import select
+import signal
 import sys
+import threading
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from types import TracebackType
 from typing import Any, NoReturn, TextIO
 
@@ -103,6 +106,28 @@ def run(command: Callable[[], int], unheard: bool = False) -> int:
             raise
         drop_output()
         return complain(f"cannot write to standard output: {error.strerror}")
+
+
+@contextmanager
+def stopped_later() -> Iterator[None]:
+    """Let Ctrl-C and SIGTERM wait for the end of the block: an import of trimesh catches every
+    exception, so that a program stopped in it would go on.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    came: list[int] = []
+    before = {
+        number: signal.signal(number, lambda number, _: came.append(number))
+        for number in (signal.SIGINT, signal.SIGTERM)
+    }
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        for number in came[:1]:
+            signal.raise_signal(number)
 
 
 def _reader_has_left() -> bool:

@@ -259,6 +259,34 @@ def test_an_error_on_purpose_is_one_line_and_any_other_is_not_hidden(capsys):
         run(raising(ValueError("a bug")))
 
 
+SWALLOWS = """
+import os, signal
+try:
+    os.kill(os.getpid(), signal.SIGINT)
+    sum(range(1_000_000))
+except BaseException:
+    pass
+"""
+"""What trimesh does with a Ctrl-C during its import."""
+
+
+@pytest.mark.parametrize(
+    "program",
+    [
+        "import hpac_gym.view",
+        "from hpac_gym.body.own_meshes import _decomposed; _decomposed('a.stl', {})",
+    ],
+)
+def test_ctrl_c_during_an_import_that_catches_everything_is_not_lost(program, tmp_path):
+    for package in ("viser", "coacd", "trimesh"):
+        (tmp_path / f"{package}.py").write_text(SWALLOWS)
+    path = os.pathsep.join((str(tmp_path), str(ROOT)))
+    variables = os.environ | {"PYTHONPATH": path}
+    done = python(f"{program}; print('it goes on')", env=variables)
+    assert done.stdout == ""
+    assert done.stderr.endswith("KeyboardInterrupt\n")
+
+
 @needs_full_device
 @pytest.mark.parametrize(("words", "unbuffered"), [("--help", "1"), ("--version", "")])
 def test_an_output_that_takes_no_more_is_one_line_and_status_2(words, unbuffered):

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from hpac_gym.body.solids import Hull, Solid
+from hpac_gym.command import stopped_later
 from hpac_gym.errors import ParameterError, install
 from hpac_gym.model.checks import Array
 from hpac_gym.output import OutputError, writable_file, write_text
@@ -92,8 +93,9 @@ def _kept(path: Path, made_from: dict[str, Any]) -> list | None:
 def _decomposed(path: Path, settings: Mapping[str, Any]) -> list:
     """Corners and faces of the convex parts of a mesh, in the file's unit."""
     try:
-        import coacd
-        import trimesh
+        with stopped_later():
+            import coacd
+            import trimesh
     except ImportError as error:
         raise ParameterError(
             f"own_object needs the package {error.name}: {install('objects')}"
