@@ -141,7 +141,7 @@ def test_doctor_does_not_touch_an_armed_hand(virtual_hand, armed):
     armed.status(period=0.02)
     before = virtual_hand.pulses()
     finding = diagnose("here", virtual_hand.connect)
-    assert finding.healthy
+    assert finding.healthy is True
     assert "armed by session" in finding.what
     assert "estop" in finding.advice
     np.testing.assert_array_equal(virtual_hand.pulses(), before)
