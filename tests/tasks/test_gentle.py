@@ -8,17 +8,11 @@ import pytest
 from hpac_gym.envs import HandEnv
 from hpac_gym.physics.engine import SceneSetup, SceneState
 from hpac_gym.physics.settings import GRAVITY
-from hpac_gym.physics.simulation import is_installed
+from hpac_gym.physics.simulation import ENGINES
 from hpac_gym.tasks.gentle import Gentle, GentleSetup
 from hpac_gym.tasks.grasp import Grasp
 from hpac_gym.tasks.task import FAILURE, RUNNING
 
-ENGINES = [
-    "mujoco",
-    pytest.param(
-        "pybullet", marks=pytest.mark.skipif(not is_installed("pybullet"), reason="no wheel")
-    ),
-]
 every_engine = pytest.mark.parametrize("engine", ENGINES)
 CLOSED = np.array([0.3, 1, 1, 1, 1, 0.5], np.float32)
 BEARS_ALL = {"crush_limit": (1000.0, 1000.0)}
