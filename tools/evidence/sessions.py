@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hpac_gym.bridge.errors import UnconfirmedWarning
+from hpac_gym.bridge.errors import BridgeError, UnconfirmedWarning
 from hpac_gym.bridge.hands import VirtualHand, VirtualTransport
 from hpac_gym.bridge.link import HandLink
 from hpac_gym.bridge.protocol import CONSTANTS, Action
@@ -141,7 +141,7 @@ def _program(
                 pace=rng.random() < 0.3,
             )
         elif step < 0.6:
-            link.move(ServoCommand(target, 1.0), acknowledge=False, pace=False)
+            link.stream().send(target)
         elif step < 0.7:
             link.wait()
         elif step < 0.85:
@@ -155,7 +155,7 @@ def _program(
             link.estop()
     ending = rng.random()
     if ending < 0.2:
-        raise ValueError("a mistake of the user")
+        raise ZeroDivisionError("a mistake of the user")
     if ending < 0.3:
         raise SystemExit(3)
 
@@ -181,7 +181,7 @@ def _one(
                     total.with_pulses += bool(hand.pulses().any())
                     if not release:
                         link._connection.known.may_have_power = False
-        except BaseException as error:
+        except (BridgeError, ZeroDivisionError, SystemExit, Interrupted) as error:
             raised = error
     told = any(isinstance(w.message, UnconfirmedWarning) for w in caught) or bool(
         getattr(raised, "__notes__", ())
