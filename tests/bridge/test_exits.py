@@ -40,7 +40,7 @@ from hpac_gym.bridge.frame import Frame, decode, encode
 from hpac_gym.bridge.hands import VirtualTransport
 from hpac_gym.bridge.interrupts import interrupts
 from hpac_gym.model import ServoCommand
-from tests.processes import wait_for
+from tests.processes import python, wait_for
 from tools.evidence import user_programs
 
 ROOT = Path(__file__).parents[2]
@@ -330,6 +330,30 @@ def test_a_program_that_ends_leaves_the_hand_without_pulses_and_its_port_free(
     assert "Unconfirmed" not in complaint
     with HandLink(host_board.connect) as link:
         assert link.state == "idle"
+
+
+def test_a_link_of_a_thread_is_ended_by_a_signal_though_the_main_thread_has_imported_it_alone():
+    program = """
+import signal, threading
+from hpac_gym.bridge import Action, HandLink, VirtualHand
+hand = VirtualHand()
+
+def drive():
+    with HandLink(hand.connect) as link:
+        link.arm(Action.hold)
+        signal.pthread_kill(threading.main_thread().ident, signal.SIGTERM)
+        while True:
+            link.sleep(0.1)
+
+thread = threading.Thread(target=drive)
+thread.start()
+try:
+    thread.join()
+finally:
+    print(hand.pulses().any())
+"""
+    done = python("-c", program)
+    assert (done.returncode, done.stdout) == (128 + signal.SIGTERM, "False\n"), done.stderr
 
 
 @pytest.mark.parametrize("ending", [GeneratorExit, CancelledError])
