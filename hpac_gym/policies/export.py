@@ -12,7 +12,7 @@ from typing import Any
 from hpac_gym.command import add_json, say
 from hpac_gym.errors import PolicyError
 from hpac_gym.output import markdown, replacing
-from hpac_gym.policies.onnx_model import CARD, MODEL, onnx_model
+from hpac_gym.policies.onnx_model import CARD, ENTRY, MODEL, onnx_model
 from hpac_gym.policies.policy_file import PolicyFile, read_policy
 
 FILM = "replay.mp4"
@@ -65,7 +65,6 @@ def card(policy: PolicyFile, evaluation: dict[str, Any] | None = None) -> dict[s
     about = policy.about
     closures = policy.closures
     fits = about.get("made_for", {})
-    names = ("name", "label", "unit", "low", "high")
     decision: dict[str, Any] = {
         "control_steps": policy.action_repeat,
         "numbers": fits.get("action", []),
@@ -87,7 +86,7 @@ def card(policy: PolicyFile, evaluation: dict[str, Any] | None = None) -> dict[s
         "obs": about.get("obs"),
         "inputs": policy.actor.sizes[0],
         "observation": [
-            dict(zip(names, entry, strict=True)) for entry in fits.get("observation", [])
+            dict(zip(ENTRY, entry, strict=True)) for entry in fits.get("observation", [])
         ],
         "decision": decision | {"increments": about.get("increments")},
         "action": fits.get("action", []),

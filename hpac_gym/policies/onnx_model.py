@@ -11,13 +11,15 @@ from numpy.typing import NDArray
 from hpac_gym.errors import PolicyError, install
 from hpac_gym.policies.closure import Closures
 from hpac_gym.policies.increments import Increments
-from hpac_gym.policies.made_for import require_fit
+from hpac_gym.policies.made_for import options_of, require_fit
 from hpac_gym.policies.policy import LearnedPolicy
 from hpac_gym.policies.policy_file import PolicyFile, sizes_of
 
 MODEL = "model.onnx"
 CARD = "card.json"
 """Files of an exported policy; the card tells its inputs, outputs and provenance."""
+ENTRY = ("name", "label", "unit", "low", "high")
+"""What a card tells of an entry of the observation, in the order of a policy file."""
 OPSET = 17
 IR_VERSION = 8
 """ONNX versions, old enough for current and older runtimes."""
@@ -91,8 +93,9 @@ def read_card(folder: Path) -> dict[str, Any]:
     try:
         told: dict[str, Any] = json.loads((folder / CARD).read_text(encoding="utf-8"))
         str.rpartition(told["env_id"], ":")
+        options_of(told)
         return told
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise PolicyError(f"'{folder}' is not an exported policy: {error}") from None
 
 
@@ -117,7 +120,7 @@ def read_onnx(folder: Path, env: gymnasium.Env[Any, Any]) -> LearnedPolicy:
             (folder / MODEL).read_bytes(), options, providers=["CPUExecutionProvider"]
         )
         decision = told["decision"]
-        entries = [list(entry.values()) for entry in told["observation"]]
+        entries = [[*map(entry.get, ENTRY)] for entry in told["observation"]]
         described = told | {"made_for": told | {"observation": entries}}
         closures = None if decision["closure"] is None else Closures.of(decision["closure"])
         told_moves = decision.get("increments")

@@ -191,6 +191,8 @@ def test_a_calibrated_hand_is_taken_and_another_layout_a_refusal(folder, env):
     (folder / "card.json").write_text(json.dumps(card | {"hand_sha256": "0" * 64}))
     with pytest.warns(UserWarning, match="was made with another hand, and acts here with"):
         read_onnx(folder, env)
+    (folder / "card.json").write_text(json.dumps(card, sort_keys=True))
+    read_onnx(folder, env)
     card["observation"].pop(0)
     (folder / "card.json").write_text(json.dumps(card))
     with pytest.raises(PolicyError, match="observation entry 0 was servo index_mcp"):
@@ -204,6 +206,15 @@ def test_an_observation_that_it_does_not_take_is_refused(exported, folder):
         pytest.raises(PolicyError, match=r"maps \(44, 6\) values, .* needs \(136, 6\)"),
     ):
         load_policy(str(folder) if exported else "grasp", env)
+
+
+@pytest.mark.parametrize(
+    "card", ['{"env_id": 5}', '{"env_id": "A-v0", "decision": null}', "[" * 100_000]
+)
+def test_a_card_of_nonsense_ends_in_one_line(card, tmp_path):
+    (tmp_path / "card.json").write_text(card)
+    with pytest.raises(PolicyError, match="is not an exported policy"):
+        needed_options(str(tmp_path))
 
 
 @pytest.mark.parametrize("name", ["card.json", "model.onnx"])
