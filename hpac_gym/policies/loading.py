@@ -12,7 +12,7 @@ from hpac_gym.policies.baselines import BASELINES
 from hpac_gym.policies.made_for import options_of, require_fit
 from hpac_gym.policies.onnx_model import read_card, read_onnx
 from hpac_gym.policies.policy import LearnedPolicy, Policy
-from hpac_gym.policies.policy_file import SHIPPED, policy_path, read_policy
+from hpac_gym.policies.policy_file import SHIPPED, SUFFIX, policy_path, read_policy
 from hpac_gym.policies.sb3 import about_model, read_model
 
 NAMES = (
@@ -45,7 +45,7 @@ def load_policy(name: str, env: gymnasium.Env[Any, Any], normalize: str | None =
     path = policy_path(name)
     if path.is_dir():
         return read_onnx(path, env)
-    if is_zipfile(path):
+    if path.suffix != SUFFIX and is_zipfile(path):  # a model, whose pickles are executed
         return read_model(path, env, normalize)
     if path.exists():
         file = read_policy(name)
@@ -58,7 +58,7 @@ def load_policy(name: str, env: gymnasium.Env[Any, Any], normalize: str | None =
         )
     try:
         make = getattr(import_module(module), rest[0])
-    except (ImportError, AttributeError, ValueError) as error:
+    except (ImportError, AttributeError, TypeError, ValueError) as error:
         raise PolicyError(f"no policy '{name}': {error}") from None
     if not takes(make, 1 + len(rest[1:])):
         raise PolicyError(f"policy '{name}': {rest[0]} does not take the environment and the text")
@@ -87,9 +87,9 @@ def about(name: str, normalize: str | None = None) -> dict[str, Any]:
         PolicyError: The file is damaged.
     """
     path = policy_path(name)
-    if not path.exists():
+    if name in BASELINES or not path.exists():
         return {}
-    if is_zipfile(path):
+    if path.suffix != SUFFIX and is_zipfile(path):
         return about_model(path, normalize)
     return read_card(path) if path.is_dir() else read_policy(name).about
 

@@ -160,11 +160,8 @@ def write_policy(path: str | os.PathLike[str], policy: PolicyFile) -> None:
         arrays |= {f"weight_{number}": weight, f"bias_{number}": bias}
     packed = io.BytesIO()
     np.savez(packed, **arrays)
-    about = {
-        "format": FORMAT,
-        "sha256": hashlib.sha256(packed.getvalue()).hexdigest(),
-        **policy.about,
-    }
+    own = {"format": FORMAT, "sha256": hashlib.sha256(packed.getvalue()).hexdigest()}
+    about = own | policy.about | own  # first in order, and not those of a file that was read
     members = {
         "policy.json": (json.dumps(about, indent=2) + "\n").encode(),
         "actor.npz": packed.getvalue(),

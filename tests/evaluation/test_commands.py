@@ -92,6 +92,7 @@ def folder(tmp_path_factory) -> Path:
         ("--policy {folder}/file", "is not a policy file (.hpac)"),
         ("--policy {folder}/cut.hpac", "is damaged"),
         ("--policy {folder}", "is not an exported policy"),
+        ("--policy ./mine.py:load", "no policy './mine.py:load': "),
         ("--grasps rods", "no grasp 'rods'; there are 16, among them rod"),
         ("--grasps rod --variant huge", "has no variant 'huge'"),
         ("--episodes 0", "'0' is not a whole number of at least 1 (see hpac grasps --help)"),

@@ -6,7 +6,7 @@ import pytest
 
 from hpac_gym.envs.sb3 import HandVecEnv
 from hpac_gym.policies import LearnedPolicy
-from hpac_gym.policies.loading import load_policy
+from hpac_gym.policies.loading import about, load_policy
 from tests.policies.episodes import actions_of
 from tests.processes import python
 
@@ -21,7 +21,10 @@ def test_a_learned_policy_decides_as_often_as_in_its_training():
 
 
 @pytest.mark.parametrize("name", ["random", "scripted"])
-def test_a_baseline_acts_the_same_for_the_same_seed(name):
+def test_a_baseline_acts_the_same_for_the_same_seed(name, tmp_path, monkeypatch):
+    (tmp_path / name).mkdir()  # a folder of that name is not the policy
+    monkeypatch.chdir(tmp_path)
+    assert about(name) == {}
     env = gymnasium.make(TINY)
     policy = load_policy(name, env)
 

@@ -1,17 +1,21 @@
+import base64
 import hashlib
 import io
 import json
 import re
 import tarfile
+import zipfile
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
+import cloudpickle
 import gymnasium
 import numpy as np
 import pytest
 
 from hpac_gym.policies import Actor, PolicyError, PolicyFile, read_policy, write_policy
-from hpac_gym.policies.loading import load_policy
+from hpac_gym.policies.loading import about, load_policy
 
 ROOT = Path(__file__).resolve().parents[2]
 TINY = "tests.tiny_task:Tiny-v0"
@@ -44,6 +48,14 @@ def test_a_policy_reads_back_as_it_was_written(policy, path):
     first = path.read_bytes()
     write_policy(path, policy)
     assert path.read_bytes() == first, "the same policy gives the same bytes"
+
+
+def test_changed_weights_keep_their_description_and_get_a_hash_of_their_own(path):
+    before = read_policy(path)
+    write_policy(path, PolicyFile(replace(before.actor, mean_clip=1.0), before.about))
+    after = read_policy(path)
+    assert after.about.pop("sha256") != before.about.pop("sha256")
+    assert (after.about, after.actor.mean_clip) == (before.about, 1.0)
 
 
 def test_actions_stay_inside_of_the_action_space(policy):
@@ -171,6 +183,18 @@ def test_no_pickle_is_loaded_from_a_policy_file_nor_named_anywhere(path, tmp_pat
     packed.seek(0)
     np.load(packed, allow_pickle=True)["observation_mean"]
     assert (tmp_path / "sprung").exists(), "the trap works"
+    spring = tmp_path / "sprung"
+    spring.unlink()
+    pickled = base64.b64encode(cloudpickle.dumps(Trap(spring))).decode()
+    with zipfile.ZipFile(path, "w") as archive:  # a model of Stable-Baselines3 by another name
+        archive.writestr("data", json.dumps({"policy": {":serialized:": pickled}}))
+    for load in (about, lambda name: load_policy(name, gymnasium.make(TINY))):
+        with pytest.raises(PolicyError, match=r"is not a policy file \(\.hpac\)"):
+            load(str(path))
+    assert not spring.exists()
+    with pytest.raises(PolicyError):
+        load_policy(str(path.rename(tmp_path / "model.zip")), gymnasium.make(TINY))
+    assert spring.exists(), "this trap works too"
     unsafe = re.compile(r"pickle as|from pickle|pickle\.load|torch\.load|allow_pickle=True|joblib")
     sources = [
         file for name in ("agents", "hpac_gym", "tools") for file in (ROOT / name).rglob("*.py")
