@@ -48,9 +48,11 @@ class Calibration:
 
     def __post_init__(self) -> None:
         for name, length in (("servo_zero", len(SERVOS)), ("friction", len(DIGITS))):
-            if len(getattr(self, name)) != length:
+            given = tuple(getattr(self, name))  # of a list or an array, too
+            object.__setattr__(self, name, given)
+            if len(given) != length:
                 raise ParameterError(
-                    f"calibration: {name} must have {length} entries, not {len(getattr(self, name))}"
+                    f"calibration: {name} must have {length} entries, not {len(given)}"
                 )
         if not np.isfinite(self.servo_zero).all():
             raise ParameterError(

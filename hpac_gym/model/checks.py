@@ -30,7 +30,7 @@ def as_array(value: ArrayLike, size: int, name: str) -> Array:
         ):  # NumPy would convert these to numbers, with a warning at best
             raise TypeError(f"{array.dtype} is not a type of real numbers")
         array = array.astype(float, copy=False)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise ShapeError(f"{name} must be an array of numbers: {error}") from None
     if array.ndim == 0 or array.shape[-1] != size:
         raise ShapeError(f"{name} must have shape (..., {size}), not {array.shape}")

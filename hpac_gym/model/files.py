@@ -74,31 +74,31 @@ def hand_from_toml(text: str, origin: str) -> Hand:
 
 def hand_to_toml(hand: Hand) -> str:
     """Text of a hand file for a hand, which `hand_from_toml` reads back."""
-    lines = [f"schema = {SCHEMA}", f"name = {_quoted(hand.name)}", "", "[sources]"]
+    lines = [f"schema = {SCHEMA}", f"name = {_value(hand.name)}", "", "[sources]"]
     lines += [
-        f"{key if key.isascii() and key.isidentifier() else _quoted(key)} = {_quoted(text)}"
+        f"{key if key.isascii() and key.isidentifier() else _value(key)} = {_value(text)}"
         for key, text in hand.sources.items()
     ]
-    lines += ["", "[servo]", f"rate_limit = {hand.rate_limit!r}", "", "[cmc]"]
-    lines += [f"{key} = {getattr(hand, key)!r}" for key in _CMC]
+    lines += ["", "[servo]", f"rate_limit = {_value(hand.rate_limit)}", "", "[cmc]"]
+    lines += [f"{key} = {_value(getattr(hand, key))}" for key in _CMC]
     for name, digit in hand.digits.items():
         lines += ["", f"[digits.{name}]", f"alpha_deg = {math.degrees(digit.alpha)!r}"]
-        lines += [f"{key} = {getattr(digit, key)!r}" for key in _SCALARS]
-        lines += [f"{key} = {list(getattr(digit, key))!r}" for key in _LISTS]
+        lines += [f"{key} = {_value(getattr(digit, key))}" for key in _SCALARS]
+        lines += [f"{key} = {_value(getattr(digit, key))}" for key in _LISTS]
     lines += ["", "[workspace]"]
-    lines += [f"{joint} = {list(bounds)!r}" for joint, bounds in hand.workspace.items()]
+    lines += [f"{joint} = {_value(list(bounds))}" for joint, bounds in hand.workspace.items()]
     if hand.is_calibrated:
-        lines += ["", "[calibration]", f"servo_zero = {list(hand.calibration.servo_zero)!r}"]
+        lines += ["", "[calibration]", f"servo_zero = {_value(hand.calibration.servo_zero)}"]
         lines += [
-            f"{part}_friction = {[getattr(item, part) for item in hand.calibration.friction]!r}"
+            f"{part}_friction = {_value([getattr(item, part) for item in hand.calibration.friction])}"
             for part in _FRICTION
         ]
     return "\n".join(lines) + "\n"
 
 
-def _quoted(text: str) -> str:
-    """A string of TOML: one of JSON, which may hold DEL as it is."""
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+def _value(value: Any) -> str:
+    """A string, a number, also of NumPy, or a list of TOML: one of JSON, which may hold DEL as it is."""
+    return json.dumps(value, ensure_ascii=False, default=float).replace("\x7f", "\\u007f")
 
 
 def _hand_from_table(table: dict[str, Any]) -> Hand:

@@ -74,9 +74,11 @@ class Digit:
             raise ParameterError(f"{owner} is not one of {', '.join(DIGITS)}")
         joints = len(self.joints)
         for name, length in (("joint_radius", joints), ("path_length", joints - 1)):
-            if len(getattr(self, name)) != length:
+            given = tuple(getattr(self, name))  # of a list or an array, too
+            object.__setattr__(self, name, given)
+            if len(given) != length:
                 raise ParameterError(
-                    f"{owner}: {name} must have {length} entries, not {len(getattr(self, name))}"
+                    f"{owner}: {name} must have {length} entries, not {len(given)}"
                 )
         units = {"alpha": "rad", "spring_stiffness": "N/m", "drive_stiffness": "N/m"}
         units |= {"tendon_stiffness": "N", "tension_limit": "N"}
@@ -151,8 +153,8 @@ class Hand:
     Arrays that are derived from these numbers are cached and read-only.
 
     Raises:
-        ParameterError: A digit is missing, a bound is not ordered, or the servo range leaves the
-            domain of Eq. (5).
+        ParameterError: A digit is missing or named otherwise, a bound is not ordered, or the servo
+            range leaves the domain of Eq. (5).
     """
 
     name: str
@@ -197,7 +199,11 @@ class Hand:
                 raise ParameterError(
                     f"hand {self.name}: workspace of {joint} = [{lower}, {upper}] rad is not an interval"
                 )
-        for digit in self.digits.values():
+        for name, digit in self.digits.items():
+            if digit.name != name:
+                raise ParameterError(
+                    f"hand {self.name}: its {name} has the numbers of digit {digit.name}: replace their name, too"
+                )
             lower, upper = self.workspace[digit.joints[0]]
             if lower <= digit.alpha - np.pi or upper >= digit.alpha:
                 raise ParameterError(
@@ -212,7 +218,7 @@ class Hand:
 
     @property
     def is_calibrated(self) -> bool:
-        """Whether its file has a `[calibration]`, so that commands invert the whole file."""
+        """Whether its `[calibration]` is not all zero, so that commands invert the whole file."""
         return self.calibration != Calibration()
 
     @cached_property

@@ -93,7 +93,7 @@ def test_a_value_that_is_no_finite_number_is_refused(function, width, value):
 @pytest.mark.parametrize(
     ("function", "width"), WIDTHS, ids=lambda item: getattr(item, "__name__", "")
 )
-@pytest.mark.parametrize("value", ["six words", None, [[0.0], [0.0, 1.0]]])
+@pytest.mark.parametrize("value", ["six words", None, [[0.0], [0.0, 1.0]], [10**400] * 15])
 def test_what_is_no_array_of_numbers_is_refused(function, width, value):
     with pytest.raises((ShapeError, WorkspaceError)):
         function(value)

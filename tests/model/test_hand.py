@@ -23,6 +23,8 @@ from hpac_gym.model import (
     load_hand,
     servo_from_action,
 )
+from hpac_gym.model.calibration import Calibration, Friction
+from hpac_gym.model.files import hand_from_toml
 
 TEXT = (files("hpac_gym.model") / "data" / "hpac.toml").read_text(encoding="utf-8")
 TABLE = tomllib.loads(TEXT)
@@ -79,6 +81,35 @@ def test_a_written_hand_is_read_again(tmp_path):
         path.write_text(hand_to_toml(hand), encoding="utf-8")
         assert load_hand(path) == hand
         assert dict(load_hand(path).sources) == dict(hand.sources)
+
+
+def test_a_hand_with_numbers_and_arrays_of_numpy_is_a_hand_like_any_other():
+    """It is written, read, compared and kept like one of Python's own numbers."""
+    zero = np.radians([1.0, 0, 0, 0, 0, 0])
+    index = HPAC.digits["index"]
+    given = replace(
+        HPAC,
+        digits=HPAC.digits
+        | {
+            "index": replace(
+                index,
+                d1=np.float64(index.d1),
+                joint_radius=np.array(index.joint_radius),
+                path_length=list(index.path_length),
+            )
+        },
+        workspace=HPAC.workspace | {"ring_mcp": np.array([0.0, 1.25])},
+        rate_limit=np.int64(2),
+        calibration=Calibration(zero, [Friction(np.float32(0.0))] * 5),
+    )
+    assert hand_from_toml(hand_to_toml(given), "text") == replace(
+        HPAC, calibration=Calibration(tuple(zero.tolist()))
+    )
+    assert given.digits["index"] == index
+    assert given.is_calibrated
+    zero[0] = 0.0
+    assert given.is_calibrated
+    assert not replace(HPAC, calibration=Calibration([0.0] * 6)).is_calibrated
 
 
 def test_every_field_of_the_file_has_a_source():
@@ -312,6 +343,8 @@ def test_a_hand_needs_exactly_its_digits_and_joints():
         )
     with pytest.raises(ParameterError, match="not one of thumb, index"):
         replace(HPAC.digits["index"], name="sixth")
+    with pytest.raises(ParameterError, match="its index has the numbers of digit ring"):
+        replace(HPAC, digits={**HPAC.digits, "index": HPAC.digits["ring"]})
 
 
 @pytest.mark.parametrize("name", DERIVED)
