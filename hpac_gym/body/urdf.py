@@ -236,8 +236,13 @@ def _rpy(solid: Part) -> Vector:
     return (float(-np.arcsin(y)), float(np.arctan2(x, z)), 0.0)
 
 
-def object_urdf(model: ObjectModel) -> str:
-    """An object as URDF text: one link, with the same shapes for display and collision."""
+def object_urdf(model: ObjectModel, folder: Path | str = "") -> str:
+    """An object as URDF text: one link, with the same shapes for display and collision.
+
+    Args:
+        model: the object.
+        folder: folder of the meshes of its hulls.
+    """
     robot = Xml.Element("robot", name=model.name)
     Xml.SubElement(
         Xml.SubElement(robot, "material", name="surface"), "color", rgba=text_of(model.color)
@@ -246,7 +251,7 @@ def object_urdf(model: ObjectModel) -> str:
     add_inertial(link, model.center_of_mass, model.inertia, model.mass)
     for index, solid in enumerate(model.solids):
         place = solid.center, _rpy_of(solid.rotation)
-        form, size = _form(solid, index)
+        form, size = _form(solid, _mesh(folder, index))
         add_shape(link, "visual", *place, form, size, "surface")
         add_shape(link, "collision", *place, form, size)
     Xml.indent(robot)
@@ -261,9 +266,10 @@ def object_urdf_file(model: ObjectModel) -> Path:
         if solid.hull is not None:
             corners = "".join(f"v {text_of(corner)}\n" for corner in solid.hull.vertices)
             faces = "".join(f"f {a} {b} {c}\n" for a, b, c in solid.hull.faces + 1)
-            (folder / _mesh_name(index)).write_text(corners + faces, encoding="utf-8")
+            _mesh(folder, index).write_text(corners + faces, encoding="utf-8")
     path = folder / f"{model.name}.urdf"
-    path.write_text(object_urdf(model), encoding="utf-8")
+    # With the folder: PyBullet looks for a bare name in the working directory first.
+    path.write_text(object_urdf(model, folder), encoding="utf-8")
     return path
 
 
@@ -272,13 +278,13 @@ def _folder() -> tempfile.TemporaryDirectory:
     return tempfile.TemporaryDirectory(prefix="hpac_objects_")
 
 
-def _mesh_name(index: int) -> str:
-    return f"hull_{index}.obj"
+def _mesh(folder: Path | str, index: int) -> Path:
+    return Path(folder, f"hull_{index}.obj")
 
 
-def _form(solid: Solid, index: int) -> tuple[str, dict[str, str]]:
+def _form(solid: Solid, mesh: Path) -> tuple[str, dict[str, str]]:
     if solid.kind == "hull":
-        return "mesh", {"filename": _mesh_name(index)}
+        return "mesh", {"filename": str(mesh)}
     if solid.kind == "box":
         return "box", {"size": text_of(solid.size)}
     if solid.kind == "sphere":

@@ -433,6 +433,23 @@ def test_both_engines_load_its_mass_inertia_and_extents(ell, decomposed):
     other.close()
 
 
+@pytest.mark.pybullet
+def test_pybullet_loads_its_hulls_and_no_file_of_that_name_in_the_working_directory(
+    wedge, tmp_path, monkeypatch
+):
+    import pybullet
+
+    monkeypatch.chdir(tmp_path)
+    trimesh.creation.box((0.3, 0.3, 0.3)).export("hull_0.obj")
+    engine = make_engine("pybullet")
+    spec = own_object(wedge, mass=0.1, scale=0.001)
+    engine.reset([0], [SceneSetup(spec, np.zeros(3))])
+    scene = engine.scenes[0]
+    low, high = pybullet.getAABB(scene.object.body, -1, scene.world.client)
+    assert high[2] - low[2] < 0.2  # 0.12 m and Bullet's margin
+    engine.close()
+
+
 @pytest.mark.parametrize("engine", ENGINES)
 def test_the_hand_grasps_it_with_the_scripted_closure(engine, ell, decomposed):
     """Upright, its shaft between thumb and fingers."""
