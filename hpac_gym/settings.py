@@ -145,15 +145,9 @@ def settings_from(default: Settings, given: Any, name: str) -> Settings:
 
 
 def _value(default: Any, given: Any, name: str) -> Any:
-    """Convert a value to the type of its default: settings, a number, or a tuple of as many
-    numbers.
-    """
+    """Convert a value to the type of its default: settings, or a number."""
     if is_dataclass(default):
         return settings_from(default, given, name)
-    if isinstance(default, float):
-        if not _are_numbers([given], 1) or not math.isfinite(given):
-            raise ParameterError(f"{name} = {given!r} must be a finite number")
-        return float(given)
-    if not _are_numbers(given, len(default)):
-        raise ParameterError(f"{name} = {given!r} must be {len(default)} numbers")
-    return tuple(map(float, given))
+    if not _are_numbers([given], 1) or not math.isfinite(given):
+        raise ParameterError(f"{name} = {given!r} must be a finite number")
+    return float(given)

@@ -46,7 +46,9 @@ class GentleConfig(GraspConfig):
     radius: tuple[float, float] = setting(
         (0.015, 0.030), "half width of a box, radius of a cylinder [m]", bounds=(0.002, 0.06)
     )
-    sphere_radius: tuple[float, float] = (0.02, 0.033)  # there are none
+    sphere_radius: tuple[float, float] = field(  # there are none
+        default=(0.02, 0.033), metadata={"bounds": (0.002, 0.06)}
+    )
     mass: tuple[float, float] = setting((0.02, 0.15), "mass of the object [kg]", bounds=(1e-3, 2.0))
     friction: tuple[float, float] = setting(
         (0.5, 1.0),

@@ -83,7 +83,7 @@ class PickPlaceTimetable:
     and back.
 
     Raises:
-        ParameterError: A duration that is not positive.
+        ParameterError: A duration that is not positive, or a height that is negative or not finite.
     """
 
     reach_time: float = _duration(0.6)
@@ -94,11 +94,13 @@ class PickPlaceTimetable:
     release_time: float = _duration(0.8)
     retreat_time: float = _duration(0.6)
     rest_time: float = _duration(0.4)
-    reach: tuple[float, float, float] = (0.04, 0.12, 0.0)
+    reach: tuple[float, float, float] = setting(
+        (0.04, 0.12, 0.0), bounds=(-inf, inf), size=3, unit="m"
+    )
     """Displacement to the object, and reversed at the end, in the world [m]."""
-    lift_height: float = 0.10
+    lift_height: float = setting(0.10, bounds=(0.0, inf), unit="m")
     """Height of the lift [m]."""
-    clearance: float = 0.003
+    clearance: float = setting(0.003, bounds=(0.0, inf), unit="m")
     """Height above the target at which the object is released [m]."""
 
     def __post_init__(self) -> None:

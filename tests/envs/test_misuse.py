@@ -412,6 +412,16 @@ PRESET = r"randomize must be a preset \(nominal, .*; got "
         ),
         (PICK_PLACE, {"config": {"timetable": {"carry": [1, 1, 1]}}}, "has no field 'carry'"),
         (
+            PICK_PLACE,
+            {"config": {"timetable": {"reach": [np.nan, 0.0, 0.0]}}},
+            r"timetable reach = \[nan, 0.0, 0.0\] m must be 3 values within \]-inf, inf\[ m",
+        ),
+        (
+            PICK_PLACE,
+            {"config": {"timetable": {"lift_height": -0.1}}},
+            r"timetable lift_height = -0.1 m must be a number within \[0, inf\[ m",
+        ),
+        (
             GENTLE,
             {"config": {"sphere_radius": [0.025, 0.03]}},
             "config sphere_radius: there are no spheres",
