@@ -49,6 +49,7 @@ from hpac_gym.evaluation.statistics import wilson_interval
 from hpac_gym.output import writable_file, write_text
 from hpac_gym.physics.simulation import is_installed
 from hpac_gym.policies.loading import NAMES, NORMALIZE, about, load_policy
+from hpac_gym.policies.onnx_model import MODEL
 from hpac_gym.policies.policy_file import policy_path
 
 
@@ -78,7 +79,7 @@ def header(args: argparse.Namespace) -> Results:
         "env_sha256": env_hash(args.env),
         "policy": args.policy,
         "files": [
-            _file(name, statistics) for name, statistics in runs if policy_path(name).is_file()
+            _file(name, told) for name, statistics in runs if (told := about(name, statistics))
         ],
         "about": args.about,
         "budget": budget,
@@ -101,10 +102,12 @@ def _seeded(name: str | None, seed: int) -> str | None:
     return name and name.replace("{seed}", str(seed))
 
 
-def _file(name: str, normalize: str | None) -> dict[str, Any]:
-    told = about(name, normalize)
-    digest = hashlib.sha256(policy_path(name).read_bytes()).hexdigest()
+def _file(name: str, told: dict[str, Any]) -> dict[str, Any]:
+    path = policy_path(name)
+    path = path / MODEL if path.is_dir() else path
+    told = told.get("training", told)  # of an exported policy
     keys = ("algorithm", "env_steps", "seed", "normalize_sha256")
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
     return {"sha256": digest, **{key: told[key] for key in keys if key in told}}
 
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from hpac_gym.evaluation.evaluate import NO_PHASE
-from hpac_gym.evaluation.seeds import BENCHMARK_SEED
+from hpac_gym.evaluation.seeds import BENCHMARK_SEED, HELD_OUT_SEED
 from hpac_gym.evaluation.splits import (
     BUDGETS,
     EPISODES,
@@ -46,7 +46,7 @@ def read(path: Path) -> Results:
         results = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise ResultsError(f"cannot read results file '{path}': {error.strerror}") from None
-    except ValueError:
+    except (ValueError, RecursionError):
         results = None
     if not isinstance(results, dict):
         raise ResultsError(f"'{path}' is not a results file: it contains no JSON object")
@@ -134,11 +134,13 @@ def _header_faults(results: Results) -> Iterator[str]:
             yield f"split '{split}' is left out: only those of PyBullet may be"
     if budget:
         low, high = results["training_seeds"]
-        if low <= first + episodes - 1 and high >= first:
-            yield f"training seeds {low} to {high} overlap the evaluation seeds, from {first} on"
+        if not 0 <= low <= high < HELD_OUT_SEED:
+            yield f"training seeds are {low} to {high}: they must lie in 0 to {HELD_OUT_SEED - 1}, in order"
     yield from over_budget(results)
     if len({file["sha256"] for file in results["files"]}) != len(results["files"]):
         yield "two runs have the same policy file"
+    untold = {"policy", "about", "obs", "command"} - results.keys()
+    yield from (f"field '{name}' is missing" for name in sorted(untold))
     missing = {"hpac_gym", "python", "mujoco-core"} - results["versions"].keys()
     yield from (f"version of {name} is missing" for name in sorted(missing))
 

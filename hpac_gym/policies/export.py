@@ -96,7 +96,7 @@ def card(policy: PolicyFile, evaluation: dict[str, Any] | None = None) -> dict[s
         "weights_sha256": about.get("sha256"),
         "training": {
             name: about[name]
-            for name in ("algorithm", "settings", "episodes", "seconds")
+            for name in ("algorithm", "settings", "episodes", "env_steps", "seconds")
             if name in about
         },
         "versions": about.get("versions", {}),

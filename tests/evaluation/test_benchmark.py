@@ -24,7 +24,8 @@ from hpac_gym.evaluation.evaluate import evaluate
 from hpac_gym.evaluation.results import comparison, faults, table
 from hpac_gym.evaluation.splits import ResultsError, env_hash, splits_of
 from hpac_gym.evaluation.statistics import wilson_interval
-from hpac_gym.policies import Closures, PolicyError
+from hpac_gym.policies import Closures, PolicyError, PolicyFile, read_policy, write_policy
+from hpac_gym.policies.export import export
 from hpac_gym.policies.policy import EpisodePolicy
 from hpac_gym.registration import GRASP_ANY, GRASP_TYPE, POSTURE
 from hpac_gym.tasks.task import RUNNING, SUCCESS
@@ -257,7 +258,11 @@ def broken(results, *path, value):
         (("seeds",), [0, 1, 2, 3], "a trained policy has 5 from 0 on"),
         (("episodes",), 39, "a submission has at least 40"),
         (("first_seed",), 0, "first_seed is 0, not 2000000"),
-        (("training_seeds",), [0, 2_000_000], "training seeds 0 to 2000000 overlap"),
+        (("training_seeds",), [0, 2_000_000], "training seeds are 0 to 2000000: they must lie"),
+        (("training_seeds",), [0, 1_000_000], "they must lie in 0 to 999999, in order"),
+        (("training_seeds",), [2_500_000, 0], "they must lie in 0 to 999999, in order"),
+        (("policy",), None, "field 'policy' is missing"),
+        (("command",), None, "field 'command' is missing"),
         (
             ("files",),
             [{"sha256": "", "env_steps": 100_001}],
@@ -326,6 +331,7 @@ def test_the_hash_changes_with_the_objects_and_the_files_of_calibrated_hands(tmp
         ),
         ([TINY, "--policy", "random"], "--out must be given, or --check alone"),
         (["--check", "no/such.json"], "cannot read results file 'no/such.json'"),
+        (["--check", "{deep}"], "deep.json' is not a results file: it contains no JSON"),
         (["--check", __file__], "test_benchmark.py' is not a results file: it contains no JSON"),
         ([TINY, "--policy", "no/such.hpac", "--out", "x"], "no policy file 'no/such.hpac'"),
         (
@@ -338,7 +344,9 @@ def test_the_hash_changes_with_the_objects_and_the_files_of_calibrated_hands(tmp
         ),
     ],
 )
-def test_a_mistake_is_one_line(words, told):
+def test_a_mistake_is_one_line(words, told, tmp_path):
+    (tmp_path / "deep.json").write_text("[" * 100_000)
+    words = [word.replace("{deep}", str(tmp_path / "deep.json")) for word in words]
     with pytest.raises((ResultsError, EnvError, PolicyError), match=told.replace("{", r"\{")):
         main(words)
 
@@ -413,6 +421,28 @@ def test_what_training_leaves_out_of_an_episode_of_any_objects_changes_few_outco
         episodes.close()
     assert 0.1 < held[0].mean() < 0.9
     assert (held[0] != held[1]).mean() < 0.05
+
+
+def test_an_exported_policy_is_a_file_with_its_steps_and_a_baseline_s_name_is_none(
+    tmp_path, capsys, monkeypatch
+):
+    pytest.importorskip("onnxruntime")
+    for name in ("judged_splits", "summary"):
+        monkeypatch.setattr(f"hpac_gym.evaluation.benchmark.{name}", lambda results: [])
+    grasp = read_policy("grasp")
+    write_policy(
+        tmp_path / "policy.hpac", PolicyFile(grasp.actor, grasp.about | {"env_steps": 9_000})
+    )
+    export(tmp_path / "policy.hpac", tmp_path / "out")
+    (tmp_path / "random").write_text("a file of that name")
+    monkeypatch.chdir(tmp_path)
+    for policy, known in (("out", 1), ("random", 0)):
+        assert main(["HPAC-Grasp-v0", "--policy", policy, "--out", f"{policy}.json"]) == 0
+        files = json.loads(Path(f"{policy}.json").read_text())["files"]
+        assert [file["env_steps"] for file in files] == [9_000] * known
+        told = capsys.readouterr()
+        assert ("trained for 9,000 steps, over the budget of 0" in told.err) == bool(known)
+        assert ("no budget named" if known else "not trained") in told.out
 
 
 @pytest.mark.parametrize(("steps", "said"), [(1, True), (0, False)])
