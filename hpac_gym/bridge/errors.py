@@ -4,6 +4,7 @@ would expect.
 
 import sys
 import warnings
+from contextlib import suppress
 
 from hpac_gym.errors import HpacError
 
@@ -80,8 +81,9 @@ def tell(warning: Warning) -> None:
     """Warn without ever raising, even if warnings are treated as errors."""
     try:
         warnings.warn(warning, stacklevel=3)
-    except Warning:
-        print(f"{type(warning).__name__}: {warning}", file=sys.stderr)
+    except Exception:  # or standard error is closed
+        with suppress(Exception):
+            print(f"{type(warning).__name__}: {warning}", file=sys.stderr)
 
 
 class ClippedWarning(UserWarning):

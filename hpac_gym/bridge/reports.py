@@ -229,7 +229,8 @@ class KnownState:
             if reason == refused_for.name and field in message.fields:
                 what = "watchdog " if field == "watchdog_ms" else ""
                 return f": {what}{message.number(field)} ms, allowed {allowed} ms"
-        if message.name == "arm" and reason == Reason.hot.name and self.status is not None:
+        hot = message.name == "arm" and reason == Reason.hot.name and servo < len(SERVOS)
+        if hot and self.status is not None:
             most = LOAD["derate_from_percent"]
             return f": heat {self.status.heat[servo]:.0%}, allowed below {most}%"
         if servo >= len(self.limits) or "servo" not in message.fields:

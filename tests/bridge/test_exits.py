@@ -575,6 +575,23 @@ def test_a_log_that_fails_is_told_once_even_where_warnings_are_errors(virtual_ha
     assert not capsys.readouterr().err
 
 
+@pytest.mark.parametrize("warns", ["default", "error"])
+def test_an_end_that_is_not_confirmed_raises_nothing_though_standard_error_is_closed(warns):
+    program = """
+import sys
+from hpac_gym.bridge import HandLink, VirtualHand
+
+link = HandLink(VirtualHand().connect)
+link.connect()
+link.arm()
+link.exchange.transport.write = lambda data: None
+sys.stderr.close()
+link.close()
+print("closed")
+"""
+    assert python("-W", warns, "-c", program).stdout == "closed\n"
+
+
 # --- e-stop from elsewhere
 # ------------------------------------------------------------------------------------------
 

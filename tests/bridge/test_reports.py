@@ -169,6 +169,13 @@ def test_a_refusal_says_what_and_where(frame, words, reason, servo):
     assert (error.reason, error.servo, error.state) == (reason, servo, known.state)
 
 
+def test_an_arm_that_is_refused_as_hot_without_a_servo_is_a_refusal():
+    known = KnownState()
+    known.take_in(status_frame(State.idle, 0))
+    error = known.refusal(Frame("arm"), ack(State.idle, Reason.hot))
+    assert str(error) == "the hand refused arm: hot (state idle)"
+
+
 def test_round_trips_are_kept_within_bounds():
     statistics = LinkStatistics()
     assert math.isnan(statistics.round_trip(50))
