@@ -186,12 +186,12 @@ class Stream:
         self._waited = True
         now = self._exchange.transport.now
         self._link.listen(max(self._due - now(), 0.0), "move")
-        if now() - self._heard_at > PATIENCE:
-            raise LinkTimeout(f"no answer to a streamed move for {PATIENCE:g} s")
         status = self._link.last_status
         if status is not None and status is not self._status:
             self._status = status
             self._told(status)
+        if now() - self._heard_at > PATIENCE:
+            raise LinkTimeout(f"no answer to a streamed move for {PATIENCE:g} s")
         delay = now() - self._due
         self.counts.worst_delay = max(self.counts.worst_delay, delay)
         self.counts.late += delay > LATE

@@ -170,6 +170,14 @@ def test_another_program_ends_it(link, stream, frame, error, says):
         close(stream, 3)
 
 
+def test_a_stream_of_the_longest_period_goes_on_though_it_is_a_little_late(link, stream):
+    slow = link.stream(period=1.0)
+    for _ in range(3):
+        slow.send(HPAC.servo_max)
+        link.listen(1.005, "late")
+    assert (slow.counts.sent, slow.counts.late) == (3, 2)
+
+
 def test_a_deaf_hand_ends_it_after_a_second(link, stream):
     link.exchange.transport.write = lambda data: None
     with pytest.raises(LinkTimeout, match="no answer to a streamed move for 1 s"):
