@@ -4,6 +4,7 @@ clear, and a safe end.
 No call blocks indefinitely.
 """
 
+import math
 import weakref
 from collections.abc import Callable
 from contextlib import suppress
@@ -31,15 +32,15 @@ _Result = TypeVar("_Result")
 _Link = TypeVar("_Link", bound="Line")
 
 
-def milliseconds(name: str, seconds: float, rounded: Callable[[float], int] = round) -> int:
-    """A time as a field of 16 bits [ms].
+def milliseconds(name: str, seconds: float) -> int:
+    """A time as a field of 16 bits, rounded up [ms].
 
     Raises:
         FrameError: It does not fit; the message calls it `name`.
     """
     if not 0 <= seconds <= 0xFFFF * 1e-3:
         raise FrameError(f"{name} = {seconds} s, allowed 0 to 65.535 s")
-    return rounded(seconds * 1e3)
+    return math.ceil(seconds * 1e3 - 1e-6)
 
 
 def turn(
@@ -177,7 +178,8 @@ class Line:
 
     @turn
     def status(self, period: float = 0.0) -> HandStatus:
-        """Request STATUS; the hand then also sends it every `period` [s], or not at all for 0.
+        """Request STATUS; the hand then also sends it every `period` [s], until the next request, as by
+        `wait` and `arm`, or not at all for 0.
 
         Raises:
             RejectedError: The period is below 10 ms.

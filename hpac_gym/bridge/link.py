@@ -90,7 +90,7 @@ class HandLink(Line):
         }
         self._feed("arm", fields)
         connection.watchdog = watchdog
-        deadline = self._now() + CONSTANTS["start_max_ms"] * 1e-3
+        deadline = max(self._now(), connection.busy_until) + CONSTANTS["start_max_ms"] * 1e-3
         while len((status := self.status()).attached) < len(SERVOS) or status.moving:
             connection.raise_unasked("it latched while arming")
             if self._now() > deadline:
@@ -124,7 +124,7 @@ class HandLink(Line):
                 latched.
             LinkTimeout, PortError: No answer; the port is gone.
         """
-        duration_ms = milliseconds("duration", command.duration, lambda ms: math.ceil(ms - 1e-6))
+        duration_ms = milliseconds("duration", command.duration)
         steps = np.rint(self.board.within(command.servo) / ANGLE_UNIT).astype(int)
         if np.abs(steps).max() > _STEP_MAX:
             worst = max(command.servo, key=abs)

@@ -129,6 +129,11 @@ def test_two_runs_give_the_same_pulses_to_the_nanosecond():
             "status: period: 9 ms, allowed 0 or at least 10 ms",
         ),
         (
+            lambda link: link.status(0.0004),
+            RejectedError,
+            "status: period: 1 ms, allowed 0 or at least 10 ms",
+        ),
+        (
             lambda link: link.arm(watchdog=np.nan),
             FrameError,
             "watchdog = nan s, allowed 0 to 65.535 s",

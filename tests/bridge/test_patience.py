@@ -172,6 +172,13 @@ def test_a_move_waits_for_the_one_before_and_no_longer(talking, overheard):
     assert max(gaps(overheard.of("move")[-5:])) < 0.01
 
 
+def test_arming_again_in_a_long_move_waits_for_its_end(talking):
+    talking.arm()
+    talking.move(ServoCommand(np.full(6, 0.1), 10.0))
+    talking.arm(watchdog=1.0)
+    np.testing.assert_allclose(talking.last_status.servo, 0.1)
+
+
 def test_arming_asks_every_twentieth_of_a_second(talking, overheard):
     talking.arm()
     asked = overheard.of("status")
