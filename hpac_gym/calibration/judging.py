@@ -112,9 +112,7 @@ def judged(sweep: Sweep, base: Hand, name: str = "the record") -> list[str]:
                     "a camera drifts: did the digit not come back to its stops, or did the camera move? The first "
                     "rest counts, and a drift is fitted"
                 )
-            of_joints = _judged_joints(
-                without_drift(segment, last_rest=not differing), flexed, swept, base
-            )
+            of_joints = _judged_joints(without_drift(segment), flexed, swept, base)
             faults += of_joints[0]
             remarks += of_joints[1]
             if not rest[0] < flexed[0] < flexed[-1] < rest[-1]:

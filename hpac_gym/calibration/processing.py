@@ -144,13 +144,13 @@ def differing_rests(segment: Sweep) -> dict[str, float]:
     return shifts
 
 
-def without_drift(sweep: Sweep, last_rest: bool = True) -> Sweep:
+def without_drift(sweep: Sweep) -> Sweep:
     """Subtract the camera's drift: a straight line in time through the readings of the swept joints
     at rest.
 
     Uses only the rest poses of a segment, where the swept joints are at zero, without outliers. If
-    a segment rests at one end only, or its last rest is not to count, the drift is a constant; a
-    segment without rest is left unchanged."""
+    a joint is seen at rest at one end only, or the last rest is one of `differing_rests` and does not
+    count, the drift is a constant; without rest it is left unchanged."""
     joint_pos = sweep.joint_pos.copy()
     for rows in sweep.segments():
         rest = rows[sweep.phase[rows] == REST]
@@ -159,14 +159,14 @@ def without_drift(sweep: Sweep, last_rest: bool = True) -> Sweep:
         moving = rows[sweep.phase[rows] != REST]
         ends = [rest]
         if moving.size and rest[0] < moving[0] and rest[-1] > moving[-1]:
-            ends = [rest[rest < moving[0]]]
-            if last_rest:
-                ends.append(rest[rest > moving[0]])
+            ends = [rest[rest < moving[0]], rest[rest > moving[0]]]
+            ends = ends[: 1 if differing_rests(sweep[rows]) else 2]
         time = sweep.time - sweep.time[rows[0]]
         for joint in joints_of_servo(int(sweep.swept[rows[0]])):
-            seen = np.concatenate([end[near_median(joint_pos[end, joint])] for end in ends])
-            if seen.size >= len(ends):
-                basis = np.vander(time[seen], len(ends))
+            seen_at = [end[near_median(joint_pos[end, joint])] for end in ends]
+            seen = np.concatenate(seen_at)
+            if seen.size:
+                basis = np.vander(time[seen], sum(end.size > 0 for end in seen_at))
                 line = np.linalg.lstsq(basis, joint_pos[seen, joint], rcond=None)[0]
                 joint_pos[rows, joint] -= np.polyval(line, time[rows])
     return sweep.with_joint_pos(joint_pos)

@@ -99,7 +99,7 @@ def digit_samples(record: Sweep, servo: int, base: Hand = HPAC) -> DigitSamples 
         if record.swept[rows[0]] != servo:
             continue
         differing = differing_rests(record[rows])
-        segment = without_drift(record[rows], last_rest=not differing)
+        segment = without_drift(record[rows])
         for phase, direction in ((FLEXING, FLEXION), (EXTENDING, EXTENSION)):
             held = np.flatnonzero((segment.phase == phase) & (segment.point >= 0))
             if held.size:
