@@ -53,6 +53,7 @@ class Episodes:
         action_space: action space of one world.
         randomizations: randomization of future episodes, one per world.
         setups: the running episodes, one per world.
+        user: a token, which the task loses to other `Episodes` that are made with it.
         episode: a token of its own for what was started by the last `reset`.
         outcome: status of each episode, an index into `hpac_gym.tasks.task.OUTCOMES`, shape (n,).
         now: the worlds after the last step; None before the first `reset`.
@@ -82,6 +83,7 @@ class Episodes:
             engine.require(BODIES[options.body])
             engine.every_step = task.every_step
             task.obs = options.obs
+            self.user = task.user = object()
             self._camera = task.prepare(num_worlds, options.noise)
             self.observations = Observations(task, options.obs, num_worlds)
             self.wrists = Wrists(task, num_worlds, engine.dt)
@@ -282,8 +284,11 @@ def open_episodes(env: Any) -> Episodes:
     """What runs below an environment. For figures and tests; a policy must not look.
 
     Raises:
-        EpisodeError: The environment is closed.
+        EpisodeError: The environment is closed, or another one was made with its task.
     """
-    if env._episodes is None:
+    episodes = env._episodes
+    if episodes is None:
         raise EpisodeError("this environment is closed: make a new one")
-    return env._episodes
+    if episodes.task.user is not episodes.user:
+        raise EpisodeError("the task of this environment was given to another: make one for each")
+    return episodes

@@ -81,6 +81,8 @@ class Task(ABC):
     """Options of every environment that mean nothing to this task."""
     obs: str = "deploy"
     """Kind of observation in use, which an environment sets before `prepare`."""
+    user: object = None
+    """Token of the environment that was made with it last: the arrays are those of one alone."""
     changing: tuple[str, ...] = ("grip",)
     """Names of the attributes that change in an episode, for snapshots: arrays, numbers, generators
     and objects with such names of their own. `hpac_gym.envs.snapshots.undeclared` finds a forgotten

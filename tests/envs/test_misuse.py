@@ -135,6 +135,20 @@ def test_what_has_a_physics_world_cannot_be_copied(made, take, opened):
         take(original)
 
 
+@pytest.mark.parametrize("make", [HandEnv, HandVectorEnv])
+def test_of_two_environments_with_one_task_the_first_says_so(make, opened):
+    """The task holds the arrays of both: each would be judged by what the other does."""
+    task = Grasp()
+    first = opened(make(task))
+    first.reset(seed=0)
+    second = opened(make(task))
+    second.reset(seed=0)
+    for call in (first.reset, first.render, lambda: first.step(first.action_space.sample())):
+        with pytest.raises(EpisodeError, match="given to another: make one for each"):
+            call()
+    second.step(second.action_space.sample())
+
+
 def a_setup(**change) -> SceneSetup:
     return replace(EASY, **change)
 
