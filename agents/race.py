@@ -276,6 +276,7 @@ def race(
             "settings": {**settings, "options": dict(options)},
             "episodes": progress.done,
             "decisions": model.num_timesteps,
+            "env_steps": model.num_timesteps * settings["action_repeat"],
             "processor_seconds": round(progress.seconds, 1),
             "versions": versions("stable-baselines3", "sb3-contrib", "sbx-rl", "jax"),
         }

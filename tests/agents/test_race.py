@@ -94,6 +94,7 @@ def test_the_table_of_the_race_trains_who_is_missing_and_judges_all(tmp_path, mo
         1,
         small("sac")["action_repeat"],
     )
+    assert about["env_steps"] == about["decisions"] * about["action_repeat"] > 0
     assert about["settings"]["options"] == {}
     with pytest.raises(RunError, match="already holds a run"):
         race.main(["sac", "--out", str(tmp_path / "sac-0")])
