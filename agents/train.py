@@ -127,6 +127,9 @@ def train(
     while progress.going and progress.env_steps + recipe.num_envs <= recipe.env_steps:
         for source in sources:
             trials = source.step(learner, partial(learner.learn, progress.share))
+            if progress.env_steps + source.steps > recipe.env_steps:  # a chunk that is too long
+                progress.stopped_by = "limit of steps"
+                break
             learner.add(*trials)
             held = (trials[2] == source.phases).tolist()
             progress.add(held, source.steps, learner.metrics)
@@ -235,12 +238,12 @@ def _with_trials(recipe: Recipe, args: Namespace) -> Recipe:
 
 def _resumed_recipe(args: Namespace) -> Recipe:
     given = given_settings(args)
-    others = {"env": args.env} | env_options(args, args.env or "")
     if (
         args.recipe is not None
         or args.overwrite
         or args.trials_of
-        or any(others.values())
+        or args.env
+        or env_options(args, args.env or "")
         or set(given) - {"episodes"}
     ):
         raise RecipeError("a resumed run keeps its settings: only --episodes can change")

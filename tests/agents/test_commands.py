@@ -48,6 +48,7 @@ MISTAKES = [
     ("train", "--out {folder}/run --resume", "no run in"),
     ("train", "--out {folder}/taken --resume", "cannot read the settings of"),
     ("train", "--out {folder}/taken --resume --dropout 0.2", "only --episodes can change"),
+    ("train", "--out {folder}/taken --resume --set told=false", "only --episodes can change"),
     ("evaluate", "", "--policy"),
     ("evaluate", "--policy {folder}/none.hpac", "no policy file"),
     ("evaluate", "--policy {folder}/file", "is not a policy file"),

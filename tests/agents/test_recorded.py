@@ -1,6 +1,7 @@
 """Learning from the trials of finished runs."""
 
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -75,6 +76,14 @@ def test_it_learns_from_every_trial_once_without_physics(runs):
     assert not np.array_equal(
         together["decisions"][: len(parts[0]["decisions"])], parts[0]["decisions"]
     ), "in random order"
+
+
+def test_it_takes_no_more_steps_than_it_may_though_its_trials_come_in_chunks(runs, tmp_path):
+    of = [str(runs / name) for name in SET_UPS]
+    steps = Recorded(replace(runs_of.recipe_in(runs / "together"), trials_of=of)).steps
+    limit = round(2.5 * steps)
+    train_here(*TOGETHER, "--trials-of", *of, "--env-steps", limit, "--out", tmp_path)
+    assert read_policy(tmp_path / "policy.hpac").about["env_steps"] == 2 * steps
 
 
 def test_critics_are_told_the_set_ups_by_the_numbers_of_the_new_run(runs):
