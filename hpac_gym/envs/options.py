@@ -157,14 +157,14 @@ def check_names(given: Iterable[str], known: Iterable[str]) -> None:
         raise TypeError(f"unknown options {', '.join(unknown)}: there are {', '.join(known)}")
 
 
-def check_num_envs(num_envs: int) -> None:
-    """Refuse a number of environments that is not a positive whole number.
+def check_number(name: str, given: int) -> None:
+    """Refuse a number of environments or steps that is not a positive whole number.
 
     Raises:
         ParameterError: It is not.
     """
-    if isinstance(num_envs, bool) or not (isinstance(num_envs, int | np.integer) and num_envs >= 1):
-        raise ParameterError(f"num_envs = {num_envs!r} must be a whole number of at least 1")
+    if isinstance(given, bool) or not (isinstance(given, int | np.integer) and given >= 1):
+        raise ParameterError(f"{name} = {given!r} must be a whole number of at least 1")
 
 
 def setups_of(

@@ -13,7 +13,7 @@ import gymnasium
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, VectorEnv
 
 from hpac_gym.envs.hand_env import GoalEnv, HandEnv
-from hpac_gym.envs.options import COMMON, check_names, check_num_envs
+from hpac_gym.envs.options import COMMON, check_names, check_number
 from hpac_gym.envs.vector_env import HandVectorEnv
 from hpac_gym.errors import ParameterError
 from hpac_gym.model import HPAC
@@ -125,7 +125,7 @@ def _many(
     task, own, others = _given(row, options)
     if others.get("engine") != "pybullet":
         return HandVectorEnv(task, num_envs, autoreset_mode, **others)
-    check_num_envs(num_envs)
+    check_number("num_envs", num_envs)
     make = partial(_in_process, row, **own, **others)
     # A fork would copy locks held by threads of other libraries, and its child would wait for
     # them for ever.

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hpac_gym.envs.episodes import CONTROL_HZ, Episodes, open_episodes
 from hpac_gym.envs.hand_env import GoalRewards
-from hpac_gym.envs.options import RENDER_MODES, check_num_envs, checked_options, setups_of
+from hpac_gym.envs.options import RENDER_MODES, check_number, checked_options, setups_of
 from hpac_gym.envs.randomization import randomization
 from hpac_gym.envs.vector_infos import (
     begin,
@@ -74,7 +74,8 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
 
     Raises:
         TypeError: An unknown option.
-        ParameterError: `num_envs` or `max_episode_steps` below 1, or an option refused by `HandEnv`.
+        ParameterError: `num_envs` or `max_episode_steps` is no whole number from 1 on, or `HandEnv`
+            refuses an option.
 
     Attributes:
         slices: slices of an observation vector, by field name.
@@ -93,7 +94,7 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         **options: Any,
     ) -> None:
         self._episodes: Episodes | None = None
-        check_num_envs(num_envs)
+        check_number("num_envs", num_envs)
         check_arguments(autoreset_mode, max_episode_steps)
         self.task = task
         self.num_envs = num_envs

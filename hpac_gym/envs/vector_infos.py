@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from hpac_gym.envs.episodes import Episodes, quality
 from hpac_gym.envs.observations import of_world
+from hpac_gym.envs.options import check_number
 from hpac_gym.errors import ParameterError
 from hpac_gym.model.checks import Array
 
@@ -72,10 +73,10 @@ def check_arguments(autoreset_mode: AutoresetMode | str, max_episode_steps: int 
     """Refuse arguments of a vector environment.
 
     Raises:
-        ParameterError: Unknown mode, or a number of steps below 1.
+        ParameterError: Unknown mode, or a number of steps that is no whole number from 1 on.
     """
-    if max_episode_steps is not None and max_episode_steps < 1:
-        raise ParameterError(f"max_episode_steps = {max_episode_steps} must be at least 1")
+    if max_episode_steps is not None:
+        check_number("max_episode_steps", max_episode_steps)
     if autoreset_mode not in list(AutoresetMode) + [mode.value for mode in AutoresetMode]:
         raise ParameterError(
             f"autoreset_mode {autoreset_mode!r} is not one of {[mode.value for mode in AutoresetMode]}"
@@ -106,14 +107,18 @@ def seeds_of(seed: int | Sequence[int | None] | None, num_envs: int) -> Sequence
     """One seed per environment, given by the first of consecutive seeds or one by one.
 
     Raises:
-        ParameterError: Wrong number of seeds.
+        ParameterError: Wrong number of seeds, or one that is no whole number from 0 on.
     """
     if seed is None:
         return [None] * num_envs
     if isinstance(seed, int | np.integer):
-        return range(seed, seed + num_envs)
-    check_count("seeds", seed, num_envs)
-    return seed
+        seed = range(seed, seed + num_envs)
+    seeds = seed if np.ndim(seed) else [seed]
+    for one in seeds:
+        if one is not None and not (isinstance(one, int | np.integer) and one >= 0):
+            raise ParameterError(f"seed {one!r} must be a whole number of at least 0, or None")
+    check_count("seeds", seeds, num_envs)
+    return seeds
 
 
 def check_count(name: str, given: Sequence[Any], num_envs: int) -> None:

@@ -361,13 +361,16 @@ def test_without_autoreset_a_step_after_the_end_is_refused(opened):
         {"num_envs": 0},
         {"num_envs": 2.5},
         {"max_episode_steps": 0},
+        {"max_episode_steps": 2.5},
+        {"max_episode_steps": np.nan},
+        {"max_episode_steps": "5"},
     ],
     ids=str,
 )
 def test_a_wrong_option_is_named_at_once(make, options):
     with pytest.raises(
         (ParameterError, LookupError, TypeError),
-        match=r"nonsense|num_envs = (0|2\.5) |max_episode_steps = 0",
+        match=r"nonsense|(num_envs|max_episode_steps) = (0|2\.5|nan|'5') must be a whole number",
     ):
         make(**{"num_envs": 2} | options)
 
@@ -384,6 +387,16 @@ def test_a_batch_has_no_wire():
         (lambda envs: envs.step(np.zeros((3, 5))), ShapeError, r"\(..., 6\), not \(3, 5\)"),
         (lambda envs: envs.step(None), ShapeError, "array of numbers|must have shape"),
         (lambda envs: envs.reset(seed=[1, 2]), ParameterError, "2 seeds were given for 3"),
+        *(
+            (partial(HandVectorEnv.reset, seed=seed), ParameterError, f"seed {named} must be")
+            for seed, named in (
+                (1.5, r"1\.5"),
+                ([0, 1.7, 2], r"1\.7"),
+                ([3, 4, -1], "-1"),
+                (-2, "-2"),
+                ("abc", "'abc'"),
+            )
+        ),
         (
             lambda envs: envs.reset(options={"reset_mask": np.array([True])}),
             ParameterError,
