@@ -49,7 +49,8 @@ class _Interrupts:
         self.closing(type(self)._end_links)
         self.begin()
         atexit.register(self._end_links)  # at import: what a program registers later, runs before
-        os.register_at_fork(after_in_child=self._begin_in_child)
+        if hasattr(os, "register_at_fork"):  # not on Windows
+            os.register_at_fork(after_in_child=self._begin_in_child)
 
     def begin(self) -> None:
         """Begin without links: in a new process, which a fork may have left its parent's."""

@@ -69,7 +69,7 @@ class SerialTransport(Transport):
             self._serial.baudrate = CONSTANTS["baud"]
             self._serial.dtr = False
             self._serial.rts = False
-            self._serial.exclusive = lock
+            self._serial.exclusive = lock or None  # Windows refuses False, and locks
             self._serial.open()
             if raw := getattr(
                 self._serial, "_socket", None

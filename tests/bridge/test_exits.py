@@ -332,6 +332,18 @@ def test_a_program_that_ends_leaves_the_hand_without_pulses_and_its_port_free(
         assert link.state == "idle"
 
 
+def test_a_system_without_fork_and_its_signals_has_links_too():
+    program = """
+import logging, os, random, signal, threading
+del os.register_at_fork, signal.SIGURG, signal.SIGHUP, signal.pthread_kill
+from hpac_gym.bridge import HandLink, VirtualHand
+with HandLink(VirtualHand().connect) as link:
+    print(link.state)
+"""
+    done = python("-c", program)
+    assert done.stdout == "idle\n", done.stderr
+
+
 def test_a_link_of_a_thread_is_ended_by_a_signal_though_the_main_thread_has_imported_it_alone():
     program = """
 import signal, threading
