@@ -32,7 +32,7 @@ def firmware_file(name: str) -> Path:
         FirmwareMissing: It is not in the build folder, and cannot be compiled.
     """
     if given := os.environ.get(BUILD_VARIABLE):
-        path = Path(given) / name
+        path = Path(given).absolute() / name
         if not path.exists():
             raise FirmwareMissing(
                 f"{path} is missing: run `make firmware` in a checkout, or unset {BUILD_VARIABLE}"
@@ -66,7 +66,7 @@ def _compiled(folder: Path, name: str) -> Path:
     for path in sorted([*sources, *folder.glob("board/host/*.[ch]")]):
         key.update(path.name.encode() + b"\0" + path.read_bytes())
     usual = os.path.expanduser("~/Library/Caches" if sys.platform == "darwin" else "~/.cache")
-    cache = Path(os.environ.get("XDG_CACHE_HOME") or usual) / "hpac_gym" / "firmware"
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or usual).absolute() / "hpac_gym" / "firmware"
     path = cache / key.hexdigest()[:16] / name
     if path.exists():
         return path

@@ -17,7 +17,6 @@ from collections.abc import Callable
 from dataclasses import astuple, fields
 from functools import cache
 from pathlib import Path
-from shutil import rmtree
 from typing import IO, cast
 
 import numpy as np
@@ -54,21 +53,22 @@ class HostBoard:
     def __enter__(self) -> HostBoard:
         program = firmware_file("hpac_host")
         self._owner = os.getpid()
-        self._folder = Path(tempfile.mkdtemp(prefix="hpac_host_"))
-        self._log = (self._folder / "pulses.csv").open("w+b", buffering=0)
         self._read_to = 0
         self._pulses = np.zeros(len(SERVOS), dtype=np.int64)
-        self.process = subprocess.Popen(
-            [program, "--pulses", self._log.name, "--parent", str(self._owner), *self._arguments],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            text=True,
-            start_new_session=True,  # Ctrl-C must not end the board before the host has released it
-        )
-        said = cast("IO[str]", self.process.stdout)
-        ready, _, _ = select.select([said], [], [], _START_TIMEOUT)
-        self.port = said.readline().strip() if ready else ""
-        rmtree(self._folder, ignore_errors=True)  # open on both sides: nothing outlives a kill
+        with tempfile.TemporaryDirectory(prefix="hpac_host_", ignore_cleanup_errors=True) as folder:
+            self._log = Path(folder, "pulses.csv").open("w+b", buffering=0)
+            command = [program, "--pulses", self._log.name, "--parent", str(self._owner)]
+            self.process = subprocess.Popen(
+                [*command, *self._arguments],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                text=True,
+                start_new_session=True,  # Ctrl-C must not end it before the host has released it
+            )
+            said = cast("IO[str]", self.process.stdout)
+            ready, _, _ = select.select([said], [], [], _START_TIMEOUT)
+            self.port = said.readline().strip() if ready else ""
+        # The log is open on both sides: nothing outlives a kill.
         if not self.port:
             self.__exit__()
             raise PortError(f"{program} did not open a pseudo-terminal")

@@ -147,9 +147,10 @@ def servo_from_pulses(pulses: ArrayLike, hand: Hand = HPAC) -> np.ndarray:
         shape (..., 6) [rad].
 
     Raises:
+        ShapeError: Wrong shape, or something that is not a finite number.
         FrameError: A width is 0: a servo without pulses has no commanded angle.
     """
-    pulses = np.asarray(pulses)
+    pulses = as_finite_array(pulses, len(SERVOS), "pulses")
     if np.any(pulses == 0):
         silent = [
             name

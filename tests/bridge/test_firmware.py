@@ -36,6 +36,17 @@ def test_what_is_not_built_is_compiled_once_and_again_when_a_source_changes(sour
     assert list(program.parent.iterdir()) == [program]
 
 
+def test_folders_may_be_given_from_where_one_stands(sources, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XDG_CACHE_HOME", "cache")
+    program = firmware_file("hpac_host")
+    assert program.is_relative_to(tmp_path / "cache")
+    monkeypatch.chdir(program.parent)
+    monkeypatch.setenv(BUILD_VARIABLE, ".")
+    with HostBoard() as board:
+        assert board.port
+
+
 def test_a_build_in_the_checkout_comes_first(sources):
     (sources / "build").mkdir()
     (sources / "build" / "hpac_host").touch()

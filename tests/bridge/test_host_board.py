@@ -5,10 +5,12 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 
 import numpy as np
 import pytest
+import serial
 
 from hpac_gym.bridge import (
     FirmwareMissing,
@@ -140,13 +142,11 @@ def test_a_board_that_does_not_end_is_killed_after_a_second(monkeypatch):
                 raise subprocess.TimeoutExpired("hpac_host", timeout)
 
     with HostBoard() as board:
-        folder = board._folder
         process = board.process
         board.process = Stuck()
         board.__exit__()
         assert ends == ["terminate", 1.0, "kill", None]
         assert Stuck.stdout.closed
-        assert not folder.exists()
         board.process = process
 
 
@@ -158,6 +158,18 @@ def test_a_board_that_says_nothing_is_given_up_after_five_seconds(monkeypatch):
     with pytest.raises(PortError, match="did not open a pseudo-terminal"):
         HostBoard().__enter__()
     assert waits == [5.0]
+
+
+def test_a_board_leaves_no_folder_behind_even_if_its_program_does_not_start(monkeypatch, tmp_path):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    with HostBoard():
+        assert not list(tmp_path.iterdir())
+    not_executable = tmp_path / "hpac_host"
+    not_executable.touch()
+    monkeypatch.setenv(BUILD_VARIABLE, str(tmp_path))
+    with pytest.raises(PermissionError):
+        HostBoard().__enter__()
+    assert list(tmp_path.iterdir()) == [not_executable]
 
 
 def test_a_missing_build_says_how_to_make_it(monkeypatch, tmp_path):
@@ -200,6 +212,23 @@ def test_trims_and_directions_move_the_pulses_of_their_servo_alone_and_boot_text
     turned = pulses_at_pose("--boot-text", "--trim", "2", "20000", "--reverse", "0")
     np.testing.assert_array_equal((turned - plain)[1:], [0, 20_000, 0, 0, 0])
     assert turned[0] - 1_500_000 == -(plain[0] - 1_500_000)
+
+
+def test_a_port_without_the_lock_does_not_ask_for_an_unlocked_one(monkeypatch):
+    """Windows, where every port is locked, refuses that: a stop would not be sent."""
+
+    class Locked(serial.Serial):
+        exclusive = property(fset=lambda self, lock: self._ask(lock))
+
+        def _ask(self, lock):
+            if lock is False:
+                raise ValueError("win32 only supports exclusive access (not: False)")
+
+        def open(self):
+            pass
+
+    monkeypatch.setattr(serial, "serial_for_url", lambda port, do_not_open, **how: Locked(**how))
+    open_transport("COM3", lock=False)
 
 
 def test_dtr_and_rts_are_low_before_the_port_opens(monkeypatch):

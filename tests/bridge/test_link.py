@@ -306,6 +306,20 @@ def test_an_angle_that_is_no_number_has_no_pulses():
 
 
 @pytest.mark.parametrize(
+    ("pulses", "says"),
+    [
+        ([1_500_000] * 5, r"shape \(..., 6\), not \(5,\)"),
+        (0, r"shape \(..., 6\), not \(\)"),
+        (["a"] * 6, "array of numbers"),
+        ([1_500_000] * 5 + [np.nan], r"pulses\[5\] = nan must be a finite number"),
+    ],
+)
+def test_what_are_no_pulses_of_six_servos_have_no_angles(pulses, says):
+    with pytest.raises(ShapeError, match=says):
+        servo_from_pulses(pulses)
+
+
+@pytest.mark.parametrize(
     ("pulses", "silent"),
     [
         ([0] * 6, ", ".join(SERVOS)),
