@@ -27,6 +27,8 @@ _ANSWERS = {"hello": "device_hello", "status": "device_status"}
 
 _SEQ_MAX = 0xFFFF
 _ROUND_TRIPS_KEPT = 100_000
+_READ_MAX = 60.0
+"""Longest time of one read [s]: a port cannot wait for ever."""
 
 
 @dataclass(slots=True)
@@ -235,7 +237,7 @@ class Exchange:
             self._check()
             left = deadline - self.transport.now()
             try:
-                data = self.transport.read(max(left, 0.0))
+                data = self.transport.read(min(max(left, 0.0), _READ_MAX))
             except PortError:
                 # a read in a signal handler makes this one fail as if the port were gone
                 self._check()

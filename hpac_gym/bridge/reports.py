@@ -120,9 +120,9 @@ class HandStatus:
     """Names of the servos that get pulses."""
     moving: bool
     servo: np.ndarray
-    """Commanded angles, shape (6,) [rad]."""
+    """Commanded angles, shape (6,) [rad], read-only."""
     heat: np.ndarray
-    """Estimated heat of each servo as a share of the admissible heat, shape (6,)."""
+    """Estimated heat of each servo as a share of the admissible heat, shape (6,), read-only."""
     rate_share: float
     """Remaining share of the rate limit of the hottest servo, 0…1."""
     supply: float
@@ -133,6 +133,10 @@ class HandStatus:
     """Counts since boot, by the names of `COUNTERS`."""
     number: int = 0
     """Number of the request that it answers; 0 if it is periodic."""
+
+    def __post_init__(self) -> None:
+        for array in (self.servo, self.heat):
+            array.setflags(write=False)
 
     @classmethod
     def from_frame(cls, frame: Frame) -> HandStatus:

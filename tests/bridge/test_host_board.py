@@ -1,11 +1,13 @@
 """HandLink against the firmware as a process: real pseudo-terminal, real clock, pyserial."""
 
 import io
+import math
 import os
 import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 
 import numpy as np
@@ -18,6 +20,7 @@ from hpac_gym.bridge import (
     HandshakeError,
     HostBoard,
     PortError,
+    StoppedError,
     open_transport,
     servo_from_pulses,
 )
@@ -88,6 +91,15 @@ def test_a_board_that_has_restarted_has_no_pulses(host_board):
     host_board.__exit__()
     host_board.__enter__()
     assert not host_board.pulses().any()
+
+
+def test_an_endless_wait_of_a_hand_that_is_not_armed_ends_by_a_stop(host_board):
+    with HandLink(host_board.connect) as link:
+        stopper = threading.Timer(0.1, link.estop)
+        stopper.start()
+        with pytest.raises(StoppedError):
+            link.sleep(math.inf)
+        stopper.join()
 
 
 def test_a_stopped_board_is_a_timeout_and_never_a_hang(host_board):

@@ -42,6 +42,13 @@ def test_every_field_of_a_status_is_read_in_its_unit():
     assert list(status.counters.values()) == [70000, 1, 2, 3, 4, 5, 6, 65535]
 
 
+def test_the_angles_of_a_status_that_a_stream_goes_on_from_cannot_be_changed():
+    status = HandStatus.from_frame(EXAMPLES["device_status"])
+    for array in (status.servo, status.heat):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 1.0
+
+
 def test_what_a_board_does_not_measure_is_not_a_number():
     fields = EXAMPLES["device_status"].fields | {"supply_mv": 0, "attached": 0b000101, "moving": 0}
     status = HandStatus.from_frame(Frame("device_status", 1, 0, fields))
