@@ -57,7 +57,7 @@ class Closures:
     """
 
     goal: Range = setting((-0.4, 1.0), **_ACTION)
-    duration: Range = setting((6.0, 22.0), **_TIME)
+    duration: Range = setting((6.0, 22.0), bounds=(0.0, math.inf), unit="control steps")
     thumb_delay: Range = setting((-8.0, 8.0), **_TIME)
     begin: Range | None = setting(None, **_TIME)
     release: Range | None = setting(None, **_TIME)
@@ -138,5 +138,8 @@ class Closures:
         time = np.asarray(steps, dtype=float)
         delay = np.repeat(np.maximum(-thumb_delay, 0.0)[:, None], len(SERVOS), axis=1)
         delay[:, _THUMB] = np.maximum(thumb_delay, 0.0)
-        share = np.clip(((time + 1 - begin)[:, None] - delay) / duration[:, None], 0.0, 1.0)
-        return np.hstack([start + share * (time <= release)[:, None] * (goals - start), wrist])
+        # A duration of 0 is at once, not 0 / 0.
+        share = ((time + 1 - begin)[:, None] - delay) / np.maximum(duration, 1e-9)[:, None]
+        return np.hstack(
+            [start + np.clip(share, 0.0, 1.0) * (time <= release)[:, None] * (goals - start), wrist]
+        )

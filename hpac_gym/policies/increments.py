@@ -81,7 +81,7 @@ class Increments:
         """The beginning of n episodes, from their first observations, shape (n, k)."""
         count = len(seen)
         last = np.repeat(seen[:, None], (self.frames - 1) * self.apart + 1, axis=1)
-        return Recent(np.tile(self.start, (count, 1)), np.zeros((count, 1), int), seen, last)
+        return Recent(np.tile(self.start, (count, 1)), np.zeros((count, 1), int), seen.copy(), last)
 
     def see(self, recent: Recent, seen: Array) -> Recent:
         """Their next observations, shape (n, k)."""

@@ -241,6 +241,7 @@ def _actor_from_arrays(arrays: dict[str, NDArray[Any]]) -> Actor:
         not layers
         or mean.ndim != 1
         or scale.shape != mean.shape
+        or not np.all(scale > 0)
         or not all(np.all(np.isfinite(array)) for array in arrays.values())
     ):
         raise ValueError("the arrays of the actor are not those of a policy")

@@ -47,6 +47,11 @@ def test_the_delay_holds_back_the_thumb_or_the_fingers():
     np.testing.assert_allclose(early[8:, 1], early[:-8, THUMB])
 
 
+def test_a_closure_without_a_duration_is_at_its_goals_at_once():
+    actions = way(Closures(duration=(0, 0)), [0, 0, 0, 0, 0, 0, 0, 1 / 8])
+    np.testing.assert_allclose(actions[:3, [1, THUMB]], [[0.3, -1], [0.3, 0.3], [0.3, 0.3]])
+
+
 def test_a_closure_with_a_release_begins_and_lets_go_when_it_is_told():
     closures = Closures(thumb_delay=(0, 0), begin=(6, 18), release=(40, 50))
     assert closures.names[-2:] == ("begin", "release")
@@ -115,6 +120,7 @@ def test_a_policy_of_closures_decides_once_an_episode():
         ({"goal": [0.0]}, "goal"),
         ({"goal": ["low", "high"]}, "invalid closure ranges"),
         ({"duration": [1.0, float("nan")]}, "duration"),
+        ({"duration": [-2.0, 4.0]}, "duration"),
         ({"speed": [0.0, 1.0]}, "unexpected keyword argument .speed."),
         ({"begin": [0.0, 1.0]}, "both begin"),
     ],

@@ -20,7 +20,12 @@ def test_it_is_shown_the_mean_of_the_first_and_some_of_the_last_observations():
         shown.append(entries.tolist())
         return np.zeros(6, np.float32)
 
-    actions_of(LearnedPolicy(actor, increments=MOVES), [np.array([float(n)]) for n in range(6)])
+    policy = LearnedPolicy(actor, increments=MOVES)
+    state = None
+    seen = np.zeros(1)
+    for n in range(6):
+        seen[:] = n  # in place, as environments do that keep one array
+        state = policy.predict(seen, state)[1]
     assert shown == [[0, 0, 0], [0.5, 0, 1], [1, 0, 2], [1, 1, 3], [1, 2, 4], [1, 3, 5]]
 
 

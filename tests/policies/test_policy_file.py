@@ -110,6 +110,7 @@ DAMAGE = {
     "no archive of weights": lambda path: reweigh(path, b"PK\x03\x04"),
     "means of two axes": lambda path: reweigh(path, observation_mean=np.zeros((6, 6))),
     "a hole in the weights": lambda path: reweigh(path, bias_0=np.full(8, np.nan, np.float32)),
+    "a scale of zero": lambda path: reweigh(path, observation_scale=np.zeros(6)),
     "biases of two axes": lambda path: reweigh(path, bias_0=np.zeros((8, 1), np.float32)),
     "a list for a description": lambda path: rewrite(path, policy=lambda data: "[]"),
     "an interface of nonsense": lambda path: rewrite(path, policy=edit(made_for=[1])),
