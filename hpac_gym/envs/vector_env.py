@@ -10,7 +10,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from hpac_gym.envs.episodes import CONTROL_HZ, Episodes, open_episodes
-from hpac_gym.envs.hand_env import GoalRewards
+from hpac_gym.envs.hand_env import GoalRewards, HandEnv
 from hpac_gym.envs.options import RENDER_MODES, check_number, checked_options, setups_of
 from hpac_gym.envs.randomization import randomization
 from hpac_gym.envs.vector_infos import (
@@ -114,12 +114,16 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         self.single_observation_space = self._episodes.observations.space
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self._generators = [seeding.np_random()[0] for _ in range(num_envs)]
+        self._seeded = [seeding.np_random() for _ in range(num_envs)]
         self._steps = np.zeros(num_envs, dtype=int)
         self._over = np.ones(num_envs, dtype=bool)
         self._running = False
 
+    __reduce_ex__ = HandEnv.__reduce_ex__
     episodes = property(open_episodes)
+    # Of every environment, as in Gymnasium's own; the base class has a generator that nothing uses.
+    np_random = property(lambda self: tuple(generator for generator, _ in self._seeded))
+    np_random_seed = property(lambda self: tuple(seed for _, seed in self._seeded))
 
     def reset(
         self,
@@ -145,7 +149,7 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         worlds = np.flatnonzero(mask).tolist()
         for world in worlds:
             if seeds[world] is not None:
-                self._generators[world] = seeding.np_random(int(seeds[world]))[0]
+                self._seeded[world] = seeding.np_random(int(seeds[world]))
         infos: dict[str, Any] = {}
         self._restart(worlds, infos, given)
         self._running = True
@@ -154,7 +158,7 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
 
     def _restart(self, worlds: list[int], infos: dict[str, Any], given: Any = None) -> None:
         """Start episodes in some worlds, and add their infos."""
-        generators = [self._generators[world] for world in worlds]
+        generators = [self._seeded[world][0] for world in worlds]
         drawn = self.episodes.reset(worlds, generators, given and [given[at] for at in worlds])
         self._steps[worlds] = 0
         self._over[worlds] = False

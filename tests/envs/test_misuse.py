@@ -7,6 +7,7 @@ import pickle
 from collections.abc import Callable
 from dataclasses import replace
 from importlib.util import find_spec
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -32,9 +33,10 @@ from hpac_gym.tasks.posture import PostureConfig
 from hpac_gym.tasks.terms import GRASP_CENTRE, LENGTH_UNIT
 from tests.envs.episodes import EASY, part, steps
 
-MAKERS: dict[str, Callable[[], gymnasium.Env]] = {
+MAKERS: dict[str, Callable[[], Any]] = {
     "HandEnv": lambda: HandEnv(Grasp()),
     "GoalEnv": lambda: GoalEnv(Posture()),
+    "HandVectorEnv": lambda: HandVectorEnv(Grasp(), 2),
     "made by its id": lambda: gymnasium.make("HPAC-Grasp-v0", grasp="rod"),
 }
 

@@ -247,6 +247,19 @@ def test_what_was_returned_stays_as_it_was(envs):
     assert_same(list(results), copies)
 
 
+def test_seeds_and_generators_are_told_as_by_gymnasiums_own(envs, opened):
+    its = opened(gymnasiums())
+    mask = {"reset_mask": np.array([True, False, True])}
+    for given in ({"seed": 5}, {"seed": [7, 8, None], "options": mask}):
+        envs.reset(**given)
+        its.reset(**given | {"options": dict(mask) if "options" in given else None})
+        assert envs.np_random_seed == its.np_random_seed
+        states = [
+            [generator.bit_generator.state for generator in each.np_random] for each in (envs, its)
+        ]
+        assert states[0] == states[1]
+
+
 def test_a_mask_resets_only_what_it_marks(envs):
     before = envs.reset(seed=0)[0]
     mask = {"reset_mask": np.array([False, True, False])}
