@@ -81,6 +81,8 @@ def judged(sweep: Sweep, base: Hand, name: str = "the record") -> list[str]:
         travel = np.ptp(segment.servo[flexed], axis=0)
         moved = int(travel.argmax())
         numbers = segment.point[flexed]
+        low = base.servo_min[swept]
+        high = base.servo_max[swept]
         points = [segment.servo[flexed[numbers == number], swept] for number in np.unique(numbers)]
         if rest.size < LEAST_REST:
             faults.append(
@@ -102,6 +104,11 @@ def judged(sweep: Sweep, base: Hand, name: str = "the record") -> list[str]:
             faults.append(
                 f"{where}: servo {SERVOS[swept]} moves by up to {np.degrees(moves):.1f}° within a sampling point, at most "
                 f"{np.degrees(STILL):.1f}° is accepted; does its column belong to other rows?"
+            )
+        elif not np.ptp(np.clip(segment.servo[flexed, swept], low, high)):
+            faults.append(
+                f"{where}: servo {SERVOS[swept]} moves from {points[0].mean():.2f} to {points[-1].mean():.2f} rad, outside of "
+                f"the design's [{low:.2f}, {high:.2f}] rad; does its angle count the other way?"
             )
         else:
             differing = differing_rests(segment)

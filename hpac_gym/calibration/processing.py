@@ -197,10 +197,7 @@ def noise_of(deviations: Array) -> float:
 
 
 def points(sweep: Sweep) -> Sweep:
-    """One entry for every sampling point of every segment and direction: the means of its samples.
-
-    A record without any is what `judged` refuses.
-    """
+    """One entry for every sampling point of every segment and direction: the means of its samples."""
     held = (sweep.point >= 0) & (sweep.phase != REST)
     keys = np.stack([sweep.trial, sweep.swept, sweep.phase, sweep.point], axis=1)[held]
     labels, group = np.unique(keys, axis=0, return_inverse=True)
@@ -217,7 +214,7 @@ def group_means(values: Array, group: np.ndarray) -> tuple[Array, Array]:
     NaN; NaN without values.
     """
     seen = ~np.isnan(values)
-    total, count = np.zeros((2, group.max() + 1, values.shape[1]))
+    total, count = np.zeros((2, group.max(initial=-1) + 1, values.shape[1]))
     np.add.at(total, group, np.where(seen, values, 0.0))
     np.add.at(count, group, seen)
     with np.errstate(invalid="ignore"):

@@ -82,9 +82,7 @@ _OF_POINTS = ("servo", "direction", "point", "joint_pos", "deviation", "line")
 
 
 def held_out_rows(samples: DigitSamples) -> np.ndarray:
-    """Mask of the held-out points, shape (k,): every fourth sampling point, excluding the first and
-    the last.
-    """
+    """Mask of the held-out points, shape (k,): every fourth sampling point, from number 2 on."""
     rows: np.ndarray = samples.point % HELD_OUT_EVERY == HELD_OUT_EVERY // 2
     return rows
 
@@ -187,7 +185,7 @@ def _without_stops(samples: DigitSamples, servo: int, base: Hand) -> DigitSample
     """
     rows = np.flatnonzero(samples.direction == FLEXION)
     rows = rows[np.argsort(samples.servo[rows], kind="stable")]
-    angles, first = np.unique(np.round(samples.servo[rows], 6), return_index=True)
+    angles, place = np.unique(np.round(samples.servo[rows], 6), return_inverse=True)
     if len(angles) < 5:
         return samples
     command = np.zeros((len(angles), len(SERVOS)))
@@ -197,13 +195,12 @@ def _without_stops(samples: DigitSamples, servo: int, base: Hand) -> DigitSample
     at_stop = {}
     starts = {}
     limit = np.inf
-    for i, name in enumerate(samples.joints):
-        if name in samples.missing:
-            continue
-        course = np.array(
-            [np.nanmean(part) for part in np.split(samples.joint_pos[rows, i], first[1:])]
-        )
+    for name, course in zip(
+        samples.joints, group_means(samples.joint_pos[rows], place)[0].T, strict=True
+    ):
         rate = np.diff(course) / turns
+        if np.isnan(rate).all():
+            continue
         usual = np.nanmedian(rate)
         turning = np.flatnonzero(~(rate < STOP_SLOPE * usual))
         start = turning[-1] + 1 if turning.size else 0

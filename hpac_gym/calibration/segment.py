@@ -110,8 +110,9 @@ class Segment:
         joint = JOINT_INDEX[self.servo]
         record = self.sweep()
         held = (record.phase == FLEXING) & (record.point >= 0)
+        held &= ~np.isnan(record.joint_pos[:, joint])
         means = [
-            (record.servo[rows, swept].mean(), np.nanmedian(record.joint_pos[rows, joint]))
+            (record.servo[rows, swept].mean(), np.median(record.joint_pos[rows, joint]))
             for rows in (held & (record.point == point) for point in np.unique(record.point[held]))
         ]
         flexed = [mean for mean in means if mean[1] > FLEXED]
@@ -152,7 +153,10 @@ def angles_in(path: Path, last: int = sys.maxsize) -> tuple[list[str], Array, Ar
             raise ValueError(f"no rows with time_s and any of {', '.join(JOINT_COLUMNS[:2])} …")
         at = np.array([float(row["time_s"]) for row in rows])
         angles = np.array([[float(row[name] or "nan") for name in names] for row in rows])
-        if not (np.diff(at) > 0).all() or np.nanmax(np.abs(angles), initial=0.0) > np.pi:
+        if (
+            not (np.isfinite(at).all() and (np.diff(at) > 0).all())
+            or np.nanmax(np.abs(angles), initial=0.0) > np.pi
+        ):
             raise ValueError("times must increase, and angles lie within ±π rad")
     except (csv.Error, TypeError, ValueError) as error:
         raise RecordError(f"angles {path}: {error}") from None

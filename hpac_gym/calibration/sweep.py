@@ -53,7 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--points",
-        type=whole_number(2),
+        type=whole_number(3),
         metavar="K",
         help="sampling points of a servo (31); with 9 a servo takes half a minute",
     )

@@ -114,6 +114,7 @@ def test_so_are_those_of_every_other_servo(servo):
     assert rigged.segment.joint_pos[:, JOINT_INDEX[servo]].max() > 0.8  # flexion is positive
 
 
+@pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize(
     ("zero_deg", "points", "told"),
     [(-0.6, 31, False), (-4.0, 31, False)]
@@ -131,6 +132,7 @@ def test_a_thumb_that_flexes_from_command_0_on_is_told(zero_deg, points, told):
             segment.commanded.append(np.array([angle, *(0.0,) * 5]))
         angles = settled_joints_from_servo(np.array(segment.commanded), hand)
         segment.joint_pos = angles - angles[0]
+        segment.joint_pos[0] = np.nan  # a point whose tags no picture shows
         assert (segment.slack(HPAC) < LEAST_SLACK) == told
 
 
@@ -354,6 +356,7 @@ def test_angles_of_another_program_are_joined_by_the_time_of_the_day(tmp_path):
         ("time_s,joint_index_mcp_rad\n0,one\n", "could not convert"),
         (f"time_s,joint_index_mcp_rad\n{'9' * 200_000},0\n", "field larger than field limit"),
         ("time_s,joint_index_mcp_rad\n1,0\n0,0\n", "times must increase"),
+        ("time_s,joint_index_mcp_rad\nnan,0\n", "times must increase"),
         ("time_s,joint_index_mcp_rad\n1,90\n", "within ±π rad"),
         ("time_s,joint_index_mcp_rad\n1,0", "no rows with time_s"),
         ("time_s,joint_ring_mcp_rad\n1,0\n", "none of the joints of index_mcp within 0.1 s of a"),
@@ -581,6 +584,9 @@ def test_a_sweep_without_eyes_is_refused_before_anything_moves(tmp_path, capsys)
     assert "--port needs what measures the joints: --camera or --angles" in capsys.readouterr().err
     with pytest.raises(SystemExit):
         hpac.main(["sweep", "--port", "any", "--record", "x.csv"])
+    with pytest.raises(SystemExit):  # as a record with two points would be, after the sweep
+        hpac.main([*WORDS, "--angles", "x.csv", "--points", "2"])
+    assert "'2' is not a whole number of at least 3" in capsys.readouterr().err
     for words in (["--servo", "index_mcp"], ["--trial", "0"]):
         assert hpac.main(["sweep", "--record", "x.csv", *words]) == 2
         assert "--points and --trial are of --port, not of --record" in capsys.readouterr().err

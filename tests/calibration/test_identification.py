@@ -206,6 +206,14 @@ def test_missing_joints_and_rows_still_give_a_fit(hidden, record):
     assert np.degrees(error[:, [JOINT_INDEX["middle_pip"], JOINT_INDEX["ring_dip"]]].max()) < 0.15
 
 
+@pytest.mark.filterwarnings("error")
+def test_points_that_do_not_show_a_joint_are_taken_without_a_warning(record):
+    hidden = spoiled(record, index_dip=(record.point == 5, np.nan))
+    hidden = spoiled(hidden, index_pip=(record.point % 2 == 0, np.nan))
+    samples = digit_samples(hidden, SERVOS.index("index_mcp"))
+    assert np.isnan(samples.joint_pos).sum(axis=0).tolist() == [0, 16, 1]
+
+
 def test_outliers_are_counted_and_hardly_move_the_fit(hidden, record):
     rng = np.random.default_rng(6)
     hit = (rng.random(len(record)) < 0.05) & (record.phase == 1)

@@ -97,6 +97,10 @@ REFUSED = [
         lambda record: replace(record, point=0 * record.point - 1),
         r"column point: no row of a flexion is at a sampling point",
     ),
+    (
+        lambda record: replace(record, servo=-record.servo),
+        r"thumb_mp moves from 0\.00 to -1\.\d+ rad, outside of the design's \[0\.00, 1\.\d+\] rad",
+    ),
     (unrested, "0 samples are marked 'rest', at least 5 are needed"),
     (other_radii, r"middle_dip turns 1\.\d+ rad for each rad of middle_mcp"),
     (blurred, r"thumb_ip is measured to .*°, 1° is needed"),

@@ -168,3 +168,4 @@ def test_points_are_means_of_the_measured_rows_that_stand_still():
     found = points(sweep)
     assert found.joint_pos[0, 2] == pytest.approx(smooth_sweep()[101:105].mean())
     assert np.isnan(found.joint_pos[1, 2])
+    assert len(points(sweep[sweep.phase == 0])) == 0
