@@ -16,7 +16,7 @@ from hpac_gym.bridge.evidence import codec, device as device_module
 from hpac_gym.bridge.evidence.codec import unseal
 from hpac_gym.bridge.evidence.conform import RULES, conform
 from hpac_gym.bridge.evidence.device import OURS, BrokenRule, Device
-from hpac_gym.bridge.hands import config_of
+from hpac_gym.bridge.hands import VirtualTransport, config_of
 from hpac_gym.bridge.protocol import Fault, State
 from hpac_gym.model import HPAC
 from tests.bridge.test_commands import run
@@ -187,6 +187,29 @@ def test_the_firmware_conforms(rate):
     hand = replace(HPAC, rate_limit=rate)
     rows = list(conform(VirtualHand(config=config_of(hand)).connect(), hand))
     assert [row.rule for row in rows] == list(RULES)
+    assert all(row.holds for row in rows), [row for row in rows if not row.holds]
+
+
+class Restarts(VirtualTransport):
+    """A board that restarts when its port opens."""
+
+    def __init__(self, hand):
+        super().__init__(hand)
+        self.text = b"rst:0x1 (POWERON_RESET),boot:0x13\r\n"
+        self.hears_from = self.now() + 1.5
+
+    def write(self, data):
+        if self.now() >= self.hears_from:
+            super().write(data)
+
+    def read(self, timeout):
+        text = self.text
+        self.text = b""
+        return text or super().read(timeout)
+
+
+def test_a_device_that_starts_when_its_port_opens_conforms():
+    rows = list(conform(Restarts(VirtualHand())))
     assert all(row.holds for row in rows), [row for row in rows if not row.holds]
 
 

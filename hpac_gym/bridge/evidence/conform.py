@@ -4,6 +4,7 @@ It uses a codec of its own and observes only the device's answers, so that it ru
 device that claims to implement the protocol: a board, the host board, a virtual hand, a user's own
 firmware."""
 
+import math
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
@@ -19,6 +20,8 @@ from hpac_gym.model import HPAC, Hand
 
 RULES = FRAME_RULES | MOTION_RULES | STOP_RULES
 """In the order of the document."""
+_BOOT_TIME = 3.0
+"""Time in which a device must answer its first HELLO [s]: a board may restart when its port opens."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,8 +53,10 @@ def conform(transport: Transport, hand: Hand = HPAC, patience: float = 0.3) -> I
     """
     device = Device(transport, hand, patience)
     try:
-        with suppress(BrokenRule):
-            device.hash = device.hello(0).limits_hash
+        for _ in range(math.ceil(_BOOT_TIME / patience)):
+            with suppress(BrokenRule):
+                device.hash = device.hello(0).limits_hash
+                break
         for rule, check in RULES.items():
             device.tried = 0
             failure = ""
