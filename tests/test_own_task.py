@@ -18,9 +18,10 @@ from agents import POLICY
 from hpac_gym.envs import Grasp, HandEnv, HandVectorEnv, make_task
 from hpac_gym.envs.registered import options_of_id
 from hpac_gym.envs.snapshots import undeclared
-from hpac_gym.errors import EnvError, HpacError, ParameterError
+from hpac_gym.errors import EnvError, HpacError, ParameterError, ShapeError
 from hpac_gym.physics.simulation import is_installed
 from hpac_gym.tasks.task import Task
+from hpac_gym.tasks.terms import RewardTerm, Term, column
 from tests.processes import ROOT, python
 
 PAGE = (ROOT / "docs" / "own_task.md").read_text(encoding="utf-8")
@@ -73,6 +74,53 @@ def test_a_task_without_reward_terms_pays_nothing():
         envs.reset(seed=0)
         assert env.step(np.zeros(6))[1] == 0.0
         assert envs.step(np.zeros((2, 6)))[1].tolist() == [0.0, 0.0]
+
+
+class Paid(Grasp):
+    """`Grasp` with one more reward term or one more entry of the observation, or judged otherwise."""
+
+    def __init__(self, reward=None, seen=None, judged=None):
+        super().__init__()
+        self.judged = judged
+        if reward:
+            self.reward_terms = (*self.reward_terms, RewardTerm("mine", "", reward))
+        if seen:
+            self.terms = (*self.terms, Term("seen", ("one",), "1", 0.0, 1.0, "", seen))
+
+    def judge(self, state, dt):
+        outcome = super().judge(state, dt)
+        return self.judged(outcome) if self.judged else outcome
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"reward": lambda now: 1.0}, r"reward term 'mine' must have shape \(2,\), not \(\)"),
+        (
+            {"reward": lambda now: column(now.state.time)},
+            r"reward term 'mine' .* \(2,\), not \(2, 1\)",
+        ),
+        (
+            {"seen": lambda now: now.state.time},
+            r"term 'seen' must have shape \(2, 1\), not \(2,\)",
+        ),
+        ({"seen": lambda now: now.state.touching}, r"term 'seen' .* \(2, 1\), not \(2, 6\)"),
+    ],
+)
+def test_a_term_of_the_wrong_shape_is_named(given, message):
+    """A reward with a column each would be added up to n rewards for each of n environments."""
+    with closing(HandVectorEnv(Paid(**given), 2)) as envs, pytest.raises(ShapeError, match=message):  # noqa: PT012
+        envs.reset(seed=0)
+        envs.step(np.zeros((2, 6)))
+
+
+def test_a_list_of_rewards_and_any_array_of_outcomes_will_do():
+    with HandEnv(Paid(lambda now: [0.5], judged=lambda found: np.broadcast_to(False, 1))) as env:
+        for _ in range(2):
+            env.reset(seed=0)
+            _, _, over, _, info = env.step(np.zeros(6))
+            assert not over
+            assert info["reward_terms"]["mine"] == 0.5
 
 
 def test_a_changed_task_has_its_reward_term_its_sampling_and_its_entry():

@@ -19,7 +19,7 @@ from hpac_gym.envs.options import CALIBRATED, Options
 from hpac_gym.envs.pictures import Pictures
 from hpac_gym.envs.randomization import changed_setup, drawn_value, stream
 from hpac_gym.envs.wrists import Wrists
-from hpac_gym.errors import EpisodeError, ParameterError
+from hpac_gym.errors import EpisodeError, ParameterError, ShapeError
 from hpac_gym.model import SERVOS
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import Engine, PhysicsError, PhysicsWarning, SceneSetup, SceneState
@@ -185,12 +185,20 @@ class Episodes:
         state = self.simulation.state()
         phase = self.now.phase
         self.task.watch(state, self.dt, self.simulation.engine.contacts)
-        self.outcome = self.task.judge(state, self.dt)
+        self.outcome = np.array(
+            self.task.judge(state, self.dt), int
+        )  # a copy: `reset` writes to it
         if failed:
-            self.outcome = self.outcome.copy()
             self.outcome[failed] = FAILURE
         self._look(state, self.commands.record(actions), range(len(self.setups)), phase)
-        self.terms = {term.name: term.value(self.now) for term in self.task.reward_terms}
+        self.terms = {
+            term.name: np.asarray(term.value(self.now)) for term in self.task.reward_terms
+        }
+        for name, value in self.terms.items():
+            if value.shape != phase.shape:
+                raise ShapeError(
+                    f"reward term {name!r} must have shape {phase.shape}, not {value.shape}"
+                )
         if self.options.reward == "dense":
             return sum(self.terms.values(), np.zeros(len(self.setups)))
         return self.task.sparse_reward(self.now)

@@ -14,6 +14,7 @@ from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
 from hpac_gym.body.objects import SHAPES
+from hpac_gym.errors import ShapeError
 from hpac_gym.model import JOINTS, SERVOS
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import SceneSetup, SceneState
@@ -227,8 +228,21 @@ class Layout:
                 self._fixed[term.name][index] = [term.value(setup) for setup in setups]
 
     def see(self, now: Moment) -> NDArray[np.float32]:
-        """Observation vectors, shape (n, size), clipped to the bounds (an object out of view)."""
+        """Observation vectors, shape (n, size), clipped to the bounds (an object out of view).
+
+        Raises:
+            ShapeError: A term's value has not a column for each of its labels.
+        """
         parts = [self._fixed[term.name] if term.fixed else term.value(now) for term in self._terms]
-        seen = np.concatenate(parts, axis=1, dtype=np.float32)
-        np.maximum(seen, self.space.low, out=seen)
+        try:
+            seen = np.concatenate(parts, axis=1, dtype=np.float32)
+            np.maximum(seen, self.space.low, out=seen)
+        except ValueError:
+            for term, part in zip(self._terms, parts, strict=True):
+                shape = len(now.servo), len(term.labels)
+                if np.shape(part) != shape:
+                    raise ShapeError(
+                        f"term {term.name!r} must have shape {shape}, not {np.shape(part)}"
+                    ) from None
+            raise
         return np.minimum(seen, self.space.high, out=seen)
