@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from agents import POLICY, RecipeError, RunError, target_of
-from agents.curves import report
+from agents.curves import PICTURE, draw, read_curve
 from agents.progress import CURVE, Progress, drop_rows_after
 from agents.recipes import (
     RECIPES,
@@ -115,10 +115,10 @@ def train(
         }
         write_policy(out / POLICY, PolicyFile(learner.networks.policy(), about))
         progress.write_row(learner.metrics())
-        # The successes of others say nothing about this policy.
+        # The successes of others say nothing about this policy, nor do results of an earlier one.
         if not recipe.trials_of and (out / CURVE).exists():
             try:
-                report(out)
+                draw(out / PICTURE, read_curve(out / CURVE), None)
             except HpacError as error:
                 print(f"no picture: {error}", file=sys.stderr)
 

@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 
 from agents import RecipeError, RunError, runs as runs_of, train, trials
+from agents.curves import report
 from agents.learner import Learner
 from agents.recipes import RECIPES, with_settings
 from agents.trials import training_task, worlds_of
@@ -233,14 +234,23 @@ def test_a_run_is_not_resumed_with_fewer_trials_than_it_has(trained, tmp_path):
     assert (folder / "run.json").read_bytes() == before
 
 
-def test_what_is_beside_a_run_does_not_stop_it(trained, tmp_path, capsys):
-    """Another folder with the name of a checkpoint, and results that cannot be read."""
+def test_what_is_beside_a_run_does_not_stop_it(trained, tmp_path, monkeypatch):
+    """Another folder with the name of a checkpoint, and the results of an earlier policy, which
+    say nothing about the new one and are not in its picture.
+    """
     folder = copytree(trained / "grasp", tmp_path / "run")
     (folder / "checkpoint-old").mkdir()
-    (folder / "results.json").write_text('{"env_id": 5}')
+    numbers = {"episodes": 10, "success_rate": 0.5, "interval_95": [0.24, 0.76]}
+    numbers |= {"return_mean": 1.0, "failures_by_phase": {}}
+    results = {"env_id": "a:B-v0", "first_seed": 1, "last_seed": 10, "differences": []}
+    (folder / "results.json").write_text(json.dumps(results | {"policies": {"learned": numbers}}))
+    drawn = []
+    monkeypatch.setattr("matplotlib.axes.Axes.axhline", lambda *_, **how: drawn.append(how))
     train_here("--resume", "--out", folder, "--episodes", 26)
     assert curve(folder)[-1] == 26
-    assert "no picture: cannot read" in capsys.readouterr().err
+    assert drawn == []
+    assert [path.name for path in report(folder)] == ["results.md", "learning_curve.png"]
+    assert drawn[0]["label"] == "learned, 10 held-out episodes: 50%"
 
 
 def test_a_damaged_curve_ends_a_resumed_run_in_one_error_and_is_kept(trained, tmp_path):
