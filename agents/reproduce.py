@@ -25,6 +25,7 @@ from hpac_gym.evaluation.statistics import interquartile_mean, rate_text, strati
 from hpac_gym.output import markdown, writable_file, write_text
 from hpac_gym.physics.simulation import SET_UPS, is_installed
 from hpac_gym.policies import read_policy
+from hpac_gym.policies.loading import needed_options
 from hpac_gym.tasks.phases import PHASES
 
 RANDOMIZED = ("nominal", "hand", "full")
@@ -182,7 +183,7 @@ def main(argv: list[str] | None = None) -> int:
 
     def judge(policy: str, env_id: str, options: dict[str, str]) -> dict[str, Any]:
         """Evaluate one policy; returns its entry in the summary."""
-        how = {"workers": args.workers, "options": options}
+        how = {"workers": args.workers, "options": needed_options(policy) | options}
         (cell,) = evaluate([policy], env_id, args.episodes, **how).summary()["policies"].values()
         return cell
 

@@ -6,6 +6,7 @@ import sys
 import time
 from importlib.util import find_spec
 from pathlib import Path
+from types import SimpleNamespace
 
 import gymnasium
 import numpy as np
@@ -284,6 +285,20 @@ def test_the_table_of_elsewhere_has_a_row_for_every_engine_and_body(capsys, tmp_
     assert len(cells) == 3 * (1 + len(engines))
     assert all(cell["episodes"] == 2 for cell in cells)
     assert "| scripted | mujoco light |" in lines[-1]
+
+
+def test_a_policy_is_judged_elsewhere_with_the_options_that_it_needs(monkeypatch):
+    given = []
+    cell = {"policies": {"learned": {"successes": 1, "episodes": 2}}}
+
+    def evaluated(names, env_id, episodes, *, workers, options):
+        given.append(options)
+        return SimpleNamespace(summary=lambda: cell)
+
+    monkeypatch.setattr(reproduce, "evaluate", evaluated)
+    assert reproduce.main(["elsewhere", "--policy", "gentle"]) == 0
+    assert {options["obs"] for options in given} == {"load"}
+    assert {options["randomize"] for options in given} == {"nominal", "hand", "full"}
 
 
 def test_the_table_of_seeds_has_a_row_for_every_run_and_sums_them_up(capsys, tmp_path):
