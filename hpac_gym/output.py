@@ -15,17 +15,18 @@ class OutputError(HpacError, OSError):
 
 @contextmanager
 def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Yield a temporary path next to `path`, which replaces `path` when the block ends and is
-    removed if the block fails.
+    """Yield a temporary path next to the file of `path`, links followed, which replaces it when the
+    block ends and is removed if the block fails.
 
     Raises:
-        OutputError: The folder cannot be created or written to, or the disk is full.
+        OutputError: `path` is a folder or a device, its folder cannot be created or written to, or
+            the disk is full.
     """
-    path = Path(path)
+    target = _file(path)
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        target.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(
-            prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent
+            prefix=f".{target.stem}-", suffix=target.suffix, dir=target.parent
         )
     except OSError as error:
         raise OutputError(f"cannot write '{path}': {error.strerror or error}") from None
@@ -34,7 +35,7 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     try:
         yield temporary
         temporary.chmod(0o644)
-        temporary.replace(path)
+        temporary.replace(target)
     except OSError as error:
         raise OutputError(f"cannot write '{path}': {error.strerror or error}") from error
     finally:
@@ -89,8 +90,15 @@ def writable_file(path: Path) -> None:
     """Check that a file can be written, as `writable_folder` does for its folder.
 
     Raises:
-        OutputError: It is a folder, or its folder cannot be created or written to.
+        OutputError: It is a folder or a device, or its folder cannot be created or written to.
     """
-    if path.is_dir():
-        raise OutputError(f"cannot write '{path}': it is a folder")
-    writable_folder(path.parent)
+    writable_folder(_file(path).parent)
+
+
+def _file(path: str | os.PathLike[str]) -> Path:
+    """The file that a path names, links followed, if it may be replaced."""
+    target = os.path.realpath(path)
+    if os.path.exists(target) and not os.path.isfile(target):
+        what = "folder" if os.path.isdir(target) else "device"
+        raise OutputError(f"cannot write '{path}': it is a {what}")
+    return Path(target)

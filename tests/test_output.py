@@ -5,7 +5,7 @@ import os
 
 import pytest
 
-from hpac_gym.output import OutputError, replacing, writable_folder, write_text
+from hpac_gym.output import OutputError, replacing, writable_file, writable_folder, write_text
 
 FULL = r"cannot write '.*result\.txt': No space left on device"
 
@@ -36,6 +36,22 @@ def test_a_place_that_cannot_be_written_is_told(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(OutputError, match=r"cannot write .*file/result\.txt"):
         write_text(tmp_path / "file" / "result.txt", "text")
+
+
+def test_a_link_stays_and_its_file_is_written(tmp_path):
+    link = tmp_path / "link.txt"
+    link.symlink_to("results/file.txt")
+    write_text(link, "text")
+    assert link.is_symlink()
+    assert (tmp_path / "results" / "file.txt").read_text() == "text"
+
+
+def test_a_device_is_not_replaced_by_a_file(tmp_path):
+    os.mkfifo(tmp_path / "null")
+    for write in (writable_file, lambda path: write_text(path, "text")):
+        with pytest.raises(OutputError, match=r"cannot write '.*null': it is a device"):
+            write(tmp_path / "null")
+    assert (tmp_path / "null").is_fifo()
 
 
 def test_a_folder_is_made_and_left_empty(tmp_path):
