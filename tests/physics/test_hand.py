@@ -4,6 +4,8 @@ to episode.
 
 import dataclasses
 import itertools
+import os
+import threading
 from contextlib import closing
 
 import numpy as np
@@ -17,6 +19,7 @@ from hpac_gym.errors import ParameterError
 from hpac_gym.model import FINGERS, HPAC, JOINT_INDEX, joints_from_synergy, servo_from_synergy
 from hpac_gym.physics.engine import SceneSetup
 from hpac_gym.physics.pybullet.scene import Scene
+from hpac_gym.physics.pybullet.world import quiet_output
 from hpac_gym.physics.settings import BODIES, HandSettings, WorldSettings
 from hpac_gym.physics.simulation import Simulation, make_engine
 from hpac_gym.tasks.grasp import Grasp
@@ -48,6 +51,26 @@ def settled(setup: SceneSetup, synergy: np.ndarray) -> np.ndarray:
 def test_the_hand_opens_by_its_springs():
     closed = SceneSetup(None, synergy=0.9 * HPAC.synergy_max)
     assert np.degrees(settled(closed, np.zeros(6))).max() < 0.5
+
+
+def test_output_comes_back_after_two_threads_silenced_it():
+    """The first one is done before the second one."""
+    before = [os.fstat(descriptor).st_ino for descriptor in (1, 2)]
+    begun = threading.Event()
+    first_is_done = threading.Event()
+
+    def second() -> None:
+        with quiet_output():
+            begun.set()
+            first_is_done.wait(5.0)
+
+    other = threading.Thread(target=second)
+    with quiet_output():
+        other.start()
+        assert not begun.wait(0.2)
+    first_is_done.set()
+    other.join()
+    assert [os.fstat(descriptor).st_ino for descriptor in (1, 2)] == before
 
 
 def test_joint_friction_holds_a_finger_that_is_let_go():

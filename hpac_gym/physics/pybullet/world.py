@@ -5,32 +5,38 @@ output.
 import ctypes
 import os
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 from hpac_gym.physics.settings import WorldSettings
 
+_C = ctypes.CDLL(None)
+_TURN = threading.Lock()
+
 
 @contextmanager
 def quiet_output() -> Iterator[None]:
     """Discard what C code, such as PyBullet's, writes to file descriptors 1 and 2 while the block
-    runs; either may be closed.
+    runs; either may be closed. Blocks in several threads run one after the other: a second one
+    would take the first one's sink for what it has to put back.
     """
     for stream in filter(None, (sys.stdout, sys.stderr)):
         stream.flush()
-    while (sink := os.open(os.devnull, os.O_WRONLY)) <= 2:
-        pass  # a closed descriptor stays occupied, so that no other file takes its number
-    saved = [(descriptor, os.dup(descriptor)) for descriptor in (1, 2)]
-    try:
-        for descriptor, _ in saved:
-            os.dup2(sink, descriptor)
-        yield
-    finally:
-        ctypes.CDLL(None).fflush(None)  # C buffers its output to a pipe or file
-        for descriptor, copy in saved:
-            os.dup2(copy, descriptor)
-            os.close(copy)
-        os.close(sink)
+    with _TURN:
+        while (sink := os.open(os.devnull, os.O_WRONLY)) <= 2:
+            pass  # a closed descriptor stays occupied, so that no other file takes its number
+        saved = [(descriptor, os.dup(descriptor)) for descriptor in (1, 2)]
+        try:
+            for descriptor, _ in saved:
+                os.dup2(sink, descriptor)
+            yield
+        finally:
+            _C.fflush(None)  # C buffers its output to a pipe or file
+            for descriptor, copy in saved:
+                os.dup2(copy, descriptor)
+                os.close(copy)
+            os.close(sink)
 
 
 with quiet_output():  # PyBullet prints a greeting on import
