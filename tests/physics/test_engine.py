@@ -5,6 +5,7 @@ before and beside.
 import dataclasses
 import hashlib
 import importlib.util
+import pkgutil
 
 import numpy as np
 import pytest
@@ -123,6 +124,46 @@ def test_an_episode_is_the_same_to_the_bit_after_others_and_beside_others(name, 
     assert len(told) > 4
     for episode, steps in told:
         assert episode.digest.hexdigest() == digest_alone(name, episode.start, episode.seed, steps)
+
+
+@pytest.mark.parametrize(
+    ("name", "call", "seed"),
+    [
+        ("mujoco", "hpac_gym.physics.mujoco.parameters.Parameters._set_hand", 1),
+        ("pybullet", "pybullet.resetSimulation", 2),
+        ("pybullet", "pybullet.loadURDF", 2),
+        ("pybullet", "pybullet.changeDynamics", 1),
+        ("pybullet", "pybullet.createMultiBody", 1),
+    ],
+)
+def test_a_reset_that_was_interrupted_leaves_nothing_behind(name, call, seed, monkeypatch):
+    """By Ctrl-C, which Python notices when a call of C code returns; the setup that was interrupted
+    comes again, or that before it, with a stiffer hand or with another one.
+    """
+    start = with_a_hand(setup("hook", 0), 1)
+    other = with_a_hand(start, seed)
+    stiff = 2 * other.hand.cmc_stiffness
+    other = dataclasses.replace(other, hand=dataclasses.replace(other.hand, cmc_stiffness=stiff))
+    simulation = Simulation(make_engine(name, 2))
+    function = pkgutil.resolve_name(call)
+
+    def interrupted(*given, **more):
+        function(*given, **more)
+        raise KeyboardInterrupt
+
+    for following in (other, start):
+        simulation.reset([0, 1], [start] * 2)
+        with monkeypatch.context() as patch:
+            patch.setattr(call, interrupted)
+            with pytest.raises(KeyboardInterrupt):
+                simulation.reset([0], [other])
+        simulation.reset([0], [following])
+        episodes = [Closing(following, 0), Closing(start, 0)]
+        for _ in range(8):
+            advance(simulation, episodes)
+        for episode in episodes:
+            assert episode.digest.hexdigest() == digest_alone(name, episode.start, 0, 8)
+    simulation.engine.close()
 
 
 @engines

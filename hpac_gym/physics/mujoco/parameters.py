@@ -79,6 +79,7 @@ class Parameters:
         """Write the parameters of one world."""
         hand = setup.geometry, setup.hand, setup.hand_settings
         last = self._hands[world]
+        self._hands[world] = None  # after an interrupt all is written again
         if last is None or last[0] != setup.geometry:
             for field, rows, values in self._links(setup.geometry):
                 field[world, rows] = values

@@ -2,8 +2,6 @@
 the current episode.
 """
 
-from collections.abc import Iterator
-
 import numpy as np
 import pybullet
 
@@ -46,47 +44,48 @@ class Stage:
         visuals: load visual shapes.
 
     Attributes:
-        start: what loading determines: armature, orientation, mounting and geometry of the hand.
-        added: bodies besides the hand, which are removed before the next episode.
+        start: what loading determines: armature, orientation, mounting and geometry of the hand;
+            None unless it is ready.
     """
 
     def __init__(self, settings: WorldSettings, visuals: bool) -> None:
         self.world = World(settings, visuals)
         self.hand: SimHand | None = None
         self.start: tuple | None = None
-        self.added: list[int] = []
         self._episodes = 0
 
     def prepare(self, setup: SceneSetup) -> None:
-        """Put the setup's hand at rest into the otherwise empty world. It is loaded again every
-        `_EPISODES` episodes, because PyBullet retains memory of every removed body and shape until
-        the world is cleared, and with it up to 0.08 MB of the solver.
+        """Put the setup's hand at rest into the otherwise empty world. It is loaded again after an
+        interrupt, and every `_EPISODES` episodes, because PyBullet retains memory of every removed
+        body and shape until the world is cleared, and with it up to 0.08 MB of the solver.
         """
         hand = setup.hand
         settings = setup.hand_settings
         client = self.world.client
-        if (start := start_of(setup)) != self.start or self._episodes == _EPISODES:
-            if self.hand is not None:
-                self.world.clear()
-                self.added.clear()
+        start = start_of(setup)
+        last = self.start
+        self.start = None  # until the end of this function, if it gets there
+        if start != last or self._episodes == _EPISODES:
+            self.world.clear()
             _, quaternion, on_wrist, geometry = start
             self.hand = SimHand(self.world, hand, settings, geometry, on_wrist, quaternion)
-            self.start = start
             self._episodes = 0
             pybullet.stepSimulation(client)
             self._snapshot = pybullet.saveState(physicsClientId=client)
         elif self.hand.hand is not hand or self.hand.settings != settings:
             self.hand.configure(hand, settings)
         self._episodes += 1
-        for body in reversed(self.added):
-            pybullet.removeBody(body, physicsClientId=client)
-        self.added.clear()
+        for index in reversed(range(pybullet.getNumBodies(client))):
+            body = pybullet.getBodyUniqueId(index, client)
+            if body != self.hand.body:
+                pybullet.removeBody(body, physicsClientId=client)
         # Drop the cached pairs of nearby links: the solver processes contacts in the order in which
         # pairs first met.
         self.hand.collide(False)
         pybullet.performCollisionDetection(client)
         self.hand.collide(True)
         pybullet.restoreState(self._snapshot, physicsClientId=client)
+        self.start = start
 
 
 def start_of(setup: SceneSetup) -> tuple:
@@ -148,9 +147,8 @@ class Scene:
             pybullet.changeDynamics(
                 self.object.body, -1, spinningFriction=spinning, physicsClientId=self.world.client
             )
-        stage.added.append(self.object.body)
         if not setup.fixed:
-            stage.added += self._supports(setup)
+            self._add_supports(setup)
 
     def _staged(self, setup: SceneSetup) -> Stage:
         """The stage of a setup: the one whose hand starts so, a new one, or that not used for
@@ -163,15 +161,14 @@ class Scene:
         self._stages[start] = self._stages.pop(start if start in self._stages else oldest)
         return self._stages[start]
 
-    def _supports(self, setup: SceneSetup) -> Iterator[int]:
+    def _add_supports(self, setup: SceneSetup) -> None:
         """Add posts and walls, the table, and the target's post."""
         boxes, table, target, turn = support_boxes(setup, matrix)
         for box in boxes:
-            yield add_fixed_box(self.world, *box, GREY, turn)
-        yield add_fixed_box(self.world, TABLE_HALF_EXTENTS, table, WOOD)
+            add_fixed_box(self.world, *box, GREY, turn)
+        add_fixed_box(self.world, TABLE_HALF_EXTENTS, table, WOOD)
         if target is not None:
             self.target_post = add_fixed_box(self.world, *target, GREEN)
-            yield self.target_post
 
     def advance(
         self,
