@@ -274,11 +274,12 @@ except BaseException:
     "program",
     [
         "import hpac_gym.view",
+        "import hpac_gym.physics.mujoco",
         "from hpac_gym.body.own_meshes import _decomposed; _decomposed('a.stl', {})",
     ],
 )
 def test_ctrl_c_during_an_import_that_catches_everything_is_not_lost(program, tmp_path):
-    for package in ("viser", "coacd", "trimesh"):
+    for package in ("viser", "coacd", "trimesh", "mujoco"):
         (tmp_path / f"{package}.py").write_text(SWALLOWS)
     path = os.pathsep.join((str(tmp_path), str(ROOT)))
     variables = os.environ | {"PYTHONPATH": path}

@@ -1,9 +1,11 @@
 """The MuJoCo engine. In this package, only this folder imports MuJoCo."""
 
-import mujoco
-
+from hpac_gym.command import stopped_later
 from hpac_gym.errors import ParameterError
 from hpac_gym.physics.simulation import INSTEAD
+
+with stopped_later():  # else Ctrl-C ends it as "ImportError: initialization failed"
+    import mujoco
 
 if not mujoco.__version__.startswith("4.0."):
     raise ParameterError(
