@@ -27,8 +27,8 @@ from hpac_gym.physics.engine import (
 )
 from hpac_gym.physics.mujoco import camera
 from hpac_gym.physics.mujoco.engine import MuJoCoEngine
-from hpac_gym.physics.settings import BODIES
-from hpac_gym.physics.simulation import Simulation
+from hpac_gym.physics.settings import BODIES, WorldSettings
+from hpac_gym.physics.simulation import Simulation, resting_object
 from hpac_gym.tasks.grasp import Grasp
 from hpac_gym.tasks.grasp_data import GRASPS, NOMINAL
 
@@ -332,6 +332,16 @@ def test_a_setup_that_is_no_place_is_an_error():
         match=r"world 1 of 2 failed after 0\.000 s of its episode: MuJoCo says BADQPOS",
     ):
         wait(engine, 0.05)
+
+
+def test_numbers_of_numpy_are_numbers():
+    """In the settings of a world, and as the mass of an object that comes to rest."""
+    settings = WorldSettings(physics_hz=np.int64(120), gravity=np.float64(9.81))
+    engine = MuJoCoEngine(1, settings)
+    engine.reset([0], [primitive()])
+    assert engine.single(0)[0].opt.timestep == 1 / 120
+    can = ObjectSpec("cylinder", (0.03, 0.03, 0.06), np.float32(0.25), np.float64(0.7))
+    assert resting_object(can).model.mass == 0.25
 
 
 def test_what_mujoco_cannot_do_is_refused():

@@ -103,7 +103,8 @@ def build(
     option = root.find("option")
     world = root.find("worldbody")
     actuators = root.find("actuator")
-    option.attrib |= {"timestep": repr(settings.dt), "gravity": f"0 0 {-settings.gravity!r}"}
+    gravity = exact_text([0, 0, -settings.gravity])
+    option.attrib |= {"timestep": exact_text([settings.dt]), "gravity": gravity}
     # A drive's control leads its servo, and can therefore exceed the servo's range (see
     # `Parameters.lead`).
     contact = "enable" if settings.collisions else "disable"

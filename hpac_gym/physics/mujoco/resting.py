@@ -91,7 +91,7 @@ class Table:
             body,
             "inertial",
             pos=exact_text(model.center_of_mass),
-            mass=repr(model.mass),
+            mass=exact_text([model.mass]),
             fullinertia=exact_text(model.inertia[INERTIA_ENTRIES]),
         )
         Xml.SubElement(root, "asset")
