@@ -16,7 +16,7 @@ from hpac_gym.bridge.protocol import (
 )
 from hpac_gym.bridge.reports import HandStatus
 from hpac_gym.bridge.stream import EARLY, Stream
-from hpac_gym.model import SERVOS, ServoCommand
+from hpac_gym.model import SERVOS, ServoCommand, move_duration
 
 _ARM_POLL = 0.05
 _STEP_MAX = 0x7FFF
@@ -90,13 +90,14 @@ class HandLink(Line):
         }
         self._feed("arm", fields)
         connection.watchdog = watchdog
-        deadline = max(self._now(), connection.busy_until) + CONSTANTS["start_max_ms"] * 1e-3
+        hand = self.board.built_for  # whose servos, if they hold without power, may go all the way
+        way = move_duration(hand.servo_min, hand.servo_max, hand) / CONSTANTS["relax_permille"]
+        patience = CONSTANTS["start_max_ms"] * 1e-3 + 1e3 * way
+        deadline = max(self._now(), connection.busy_until) + patience
         while len((status := self.status()).attached) < len(SERVOS) or status.moving:
             connection.raise_unasked("it latched while arming")
             if self._now() > deadline:
-                raise LinkTimeout(
-                    f"after {CONSTANTS['start_max_ms'] * 1e-3:g} s pulses at {status.attached} alone"
-                )
+                raise LinkTimeout(f"after {patience:g} s pulses at {status.attached} alone")
             self.sleep(_ARM_POLL)
         connection.busy_until = self._now()
 

@@ -210,6 +210,20 @@ def test_the_chosen_safe_action_happens(virtual_hand, link, action):
         assert not virtual_hand.pulses().any()
 
 
+def test_a_slow_hand_whose_servos_hold_without_power_is_armed_from_the_fist():
+    hand = dataclasses.replace(HPAC, rate_limit=0.5)
+    config = config_of(hand)
+    for servo in config:
+        servo.holds_unpowered = 1
+    with HandLink(VirtualHand(config=config).connect, hand=hand) as link:
+        link.arm()
+        link.move(ServoCommand(hand.servo_max, 3.2))
+        link.wait()
+        link.clear()
+        link.arm()
+        assert not link.last_status.servo.any()
+
+
 # --- bad lines
 # ------------------------------------------------------------------------------------------------------
 
