@@ -56,7 +56,8 @@ class Episodes:
         user: a token, which the task loses to other `Episodes` that are made with it.
         episode: a token of its own for what was started by the last `reset`.
         outcome: status of each episode, an index into `hpac_gym.tasks.task.OUTCOMES`, shape (n,).
-        now: the worlds after the last step; None before the first `reset`.
+        now: the worlds after the last step; None before the first `reset`, and after a call that was
+            interrupted.
         terms: terms of the last step's dense reward, shape (n,), by name.
     """
 
@@ -120,6 +121,8 @@ class Episodes:
         Returns:
             Values drawn by the randomization, by name, for each of the worlds.
         """
+        self.now = None  # until the end, so that nothing goes on from an interrupted call
+        self.episode = object()
         setups = []
         drawn = []
         for world, rng, own in zip(worlds, generators, given or [None] * len(worlds), strict=True):
@@ -133,7 +136,6 @@ class Episodes:
         self._begin(worlds, setups)
         self.outcome[np.asarray(worlds)] = RUNNING
         self.terms = {}
-        self.episode = object()
         still = np.zeros_like(self.commands.last_action)
         self._look(self.simulation.state(), still, worlds)
         return drawn
@@ -168,6 +170,8 @@ class Episodes:
                 others continue.
         """
         target = self.commands.target(actions)
+        phase = self.now.phase
+        self.now = None  # as in `reset`
         if self.task.wrist_actions:  # the first one of an episode places the wrist
             first = np.flatnonzero((self.wrists.step == 0) & (self.outcome == RUNNING)).tolist()
             if first:
@@ -183,7 +187,6 @@ class Episodes:
             warnings.warn(f"{error}; it ends as a failure", PhysicsWarning, stacklevel=2)
             failed = [world for world in error.worlds if self.outcome[world] == RUNNING]
         state = self.simulation.state()
-        phase = self.now.phase
         self.task.watch(state, self.dt, self.simulation.engine.contacts)
         self.outcome = np.array(
             self.task.judge(state, self.dt), int

@@ -146,7 +146,7 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         Warns:
             PhysicsWarning: The simulation failed in MuJoCo: the episode ends as a failure.
         """
-        episodes = self.episodes
+        episodes = self._begun()
         if not self._running:
             raise EpisodeError("no episode is running: call reset() first")
         (size,) = self.action_space.shape
@@ -182,7 +182,7 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
                 `close`.
         """
         running, snapshot = state
-        restore_episode(self._begun(), snapshot)
+        restore_episode(self.episodes, snapshot)
         self._running = running
 
     def _observe(self) -> Observation:

@@ -142,7 +142,8 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
             ParameterError: Wrong seeds or mask, or an option that `HandEnv.reset` refuses.
         """
         episodes = self.episodes
-        mask, options = mask_of(options, self.num_envs, self._running)
+        running = self._running and episodes.now is not None
+        mask, options = mask_of(options, self.num_envs, running)
         seeds = seeds_of(seed, self.num_envs)
         self._running = False
         given = setups_of(options, self.task, self.hand, self.num_envs)
@@ -177,7 +178,8 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
             PhysicsWarning: A world's simulation failed in MuJoCo, and its episode as a failure.
         """
         episodes = self.episodes
-        if not self._running or (self._mode is AutoresetMode.DISABLED and self._over.any()):
+        waits = self._mode is AutoresetMode.DISABLED and self._over.any()
+        if not self._running or episodes.now is None or waits:
             raise EpisodeError("no episode is running in every environment: call reset() first")
         actions = as_array(actions, *self.single_action_space.shape, "actions")
         if actions.shape != self.action_space.shape:
@@ -192,6 +194,7 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
             world = int(np.argmin((np.abs(actions) <= 1.0 + ACTION_TOLERANCE).all(axis=1)))
             error.add_note(f"in environment {world}")
             raise
+        self._running = False  # until the end: an interrupted step may have reset no world yet
         self._steps += 1
         terminated = episodes.outcome != RUNNING
         truncated = self._steps >= self._limit
@@ -205,6 +208,7 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
             infos = of_last_step(episodes, self._over, terminated, self._add_info)
         if worlds:
             self._restart(worlds, infos)
+        self._running = True
         self.episodes.pictures.show()
         return episodes.observe(), rewards, terminated, truncated, infos
 

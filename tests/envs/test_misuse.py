@@ -151,6 +151,51 @@ def test_of_two_environments_with_one_task_the_first_says_so(make, opened):
     second.step(second.action_space.sample())
 
 
+def interrupted(monkeypatch, place: str, call: Callable[[], object]) -> None:
+    """Make a call that Ctrl-C interrupts where it comes to a place of `hpac_gym`."""
+
+    def stop(*_, **__):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):  # noqa: PT012
+        patched.setattr(f"hpac_gym.{place}", stop)
+        call()
+
+
+def test_after_an_interrupted_step_only_a_reset_or_a_saved_state_goes_on(monkeypatch, opened):
+    """Wrist and servos would be a step ahead of the hand, and an episode would end twice."""
+    still = np.zeros(6)
+    env = opened(HandEnv(Grasp()))
+    env.reset(seed=0)
+    state = env.save_state()
+    expected = env.step(still)
+    advance = "physics.simulation.Simulation.advance"
+    interrupted(monkeypatch, advance, lambda: env.step(still))
+    with pytest.raises(EpisodeError, match="reset"):
+        env.step(still)
+    env.restore_state(state)
+    assert data_equivalence(env.step(still), expected, exact=True)
+    interrupted(monkeypatch, "envs.wrists.Wrists.start", lambda: env.reset(seed=0))
+    with pytest.raises(EpisodeError, match="reset"):
+        env.step(still)
+    with pytest.raises(EpisodeError, match="only in the episode"):
+        env.restore_state(state)
+    env.reset(seed=0)
+    assert data_equivalence(env.step(still), expected, exact=True)
+
+    envs = opened(HandVectorEnv(Grasp(), 2, max_episode_steps=1))
+    mask = {"reset_mask": np.array([True, False])}
+    for place, ended in ((advance, 0), ("envs.vector_env.HandVectorEnv._restart", 1)):
+        envs.reset(seed=0)
+        for _ in range(ended):
+            assert envs.step(np.zeros((2, 6)))[3].all()
+        interrupted(monkeypatch, place, lambda: envs.step(np.zeros((2, 6))))
+        with pytest.raises(EpisodeError, match="reset"):
+            envs.step(np.zeros((2, 6)))
+        with pytest.raises(ParameterError, match="no episode is running"):
+            envs.reset(options=mask)
+
+
 def a_setup(**change) -> SceneSetup:
     return replace(EASY, **change)
 
