@@ -40,7 +40,8 @@ class Late:
     def __call__(self) -> None:
         if monotonic() >= self._due:
             self._due = math.inf
-            with suppress(OSError, RuntimeError):  # the handler may have interrupted a print
+            # It may be closed, or the handler may have interrupted a print.
+            with suppress(OSError, RuntimeError, ValueError):
                 print(self._text, file=sys.stderr, flush=True)
 
 

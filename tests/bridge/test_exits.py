@@ -5,6 +5,7 @@ confirmed.
 # ruff: noqa: PT012, PT031 - what a session raises comes out of all of it, its end included
 
 import gc
+import io
 import math
 import os
 import re
@@ -414,6 +415,18 @@ def test_long_last_words_are_told(virtual_hand, monkeypatch, capsys):
         link.arm(Action.hold)
         link.exchange.transport.write = lambda data: None
     assert capsys.readouterr().err == "asking the hand to stop: no answer yet\n"
+
+
+def test_the_last_words_go_on_though_standard_error_is_closed(virtual_hand, monkeypatch):
+    clock = iter(range(1000))
+    monkeypatch.setattr("hpac_gym.progress.monotonic", lambda: next(clock))
+    closed = io.StringIO()
+    closed.close()
+    monkeypatch.setattr(sys, "stderr", closed)
+    with pytest.warns(UnconfirmedWarning, match=r"ESTOP × \d\d"):
+        with HandLink(virtual_hand.connect, timeout=0.02) as link:
+            link.arm(Action.hold)
+            link.exchange.transport.write = lambda data: None
 
 
 def test_a_link_that_was_taken_over_leaves_the_new_controller_its_hand(virtual_hand, link):
