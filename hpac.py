@@ -11,7 +11,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pkgutil import resolve_name
-from typing import Any, NoReturn
+from typing import NoReturn
 
 sys.modules.setdefault("hpac", sys.modules[__name__])  # read by hpac_gym, also for python -m hpac
 
@@ -163,16 +163,6 @@ COMMANDS = (
 )
 
 
-class _CommandParser(Parser):
-    """The parser of one command, which refuses words that it does not know by its own name."""
-
-    def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
-        known, unknown = super().parse_known_args(args, namespace)
-        if unknown:
-            self.error(f"unrecognized arguments: {' '.join(unknown)}")
-        return known, unknown
-
-
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit status."""
     # Modules of the current folder, such as the one that registers `--env mymodule:My-v0`. Last, so
@@ -219,7 +209,6 @@ def parser_of(argv: Sequence[str]) -> Parser:
         metavar="COMMAND",
         required=True,
         help=argparse.SUPPRESS,
-        parser_class=_CommandParser,
     )
     parsers = {row.name: subparsers.add_parser(row.name, description=row.help) for row in COMMANDS}
     name = next((word for word in argv if not word.startswith("-")), None)

@@ -14,6 +14,8 @@ import threading
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from io import TextIOWrapper
+from itertools import takewhile
 from types import TracebackType
 from typing import Any, NoReturn, TextIO
 
@@ -24,9 +26,26 @@ INTERRUPTED = 130  # exit status of a shell command ended by Ctrl-C
 
 
 class Parser(argparse.ArgumentParser):
-    """An argument parser with one-line errors without usage text; it does not hide a failure to
-    write its help.
+    """An argument parser with one-line errors without usage text, which tells a mistyped option
+    before one that is missing, as the parser of the command that it was given to; it does not hide
+    a failure to write its help.
     """
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
+        words = takewhile("--".__ne__, sys.argv[1:] if args is None else args)
+        unknown = [
+            word
+            for word in words
+            if word.startswith("--")
+            and " " not in word  # those may be values
+            and self._subparsers is None
+            and not any(name.startswith(word.split("=")[0]) for name in self._option_string_actions)
+        ]
+        if not unknown:
+            known, unknown = super().parse_known_args(args, namespace)
+        if unknown:
+            self.error(f"unrecognized arguments: {' '.join(unknown)}")
+        return known, unknown
 
     def _print_message(self, message: str, file: TextIO | None = None) -> None:
         (file or sys.stderr).write(message)
@@ -80,6 +99,8 @@ def run(command: Callable[[], int], unheard: bool = False) -> int:
         sys.stderr = open(os.devnull, "w")  # noqa: SIM115 - for as long as the program runs
     if sys.stdout is None and not unheard:
         return complain("cannot write to standard output: it is closed")
+    if isinstance(sys.stdout, TextIOWrapper):  # whose encoding may lack a sign, such as Windows' →
+        sys.stdout.reconfigure(errors="backslashreplace")
     try:
         try:
             return command()

@@ -139,8 +139,13 @@ def test_the_version_is_that_of_the_package():
         (["--polcy"], "(see hpac --help)"),
         (
             ["evaluate", "--policy", "grasp", "--polcy", "grasp"],
-            "error: unrecognized arguments: --polcy grasp (see hpac evaluate --help)",
+            "error: unrecognized arguments: --polcy (see hpac evaluate --help)",
         ),
+        (
+            ["evaluate", "--polcy=grasp", "--episode", "3"],
+            "error: unrecognized arguments: --polcy=grasp (see hpac evaluate --help)",
+        ),
+        (["posture", "list", "fist"], "error: unrecognized arguments: fist (see hpac posture"),
         (["wiggle", "--port", "/dev/no-such-port"], "/dev/no-such-port"),
         (["posture", "nonsense"], "nonsense"),
         (["posture", "fist", "--out", "/tmp/fist.doc"], "written as .png, not as '/tmp/fist.doc'"),
@@ -328,6 +333,13 @@ def test_a_fault_of_another_file_is_not_taken_for_one_of_standard_output():
     assert done.returncode == 1
     assert "FileNotFoundError" in done.stderr
     assert done.stdout == "word\n"
+
+
+@pytest.mark.parametrize("words", [("wiggle", "--help"), ("doctor",)])
+def test_an_output_without_some_signs_is_no_traceback(words):
+    done = hpac(*words, env=os.environ | {"PYTHONIOENCODING": "ascii"})
+    assert "Traceback" not in done.stderr
+    assert done.stdout
 
 
 def test_a_closed_output_is_one_line_and_status_2():
