@@ -26,6 +26,7 @@ from hpac_gym.bridge.firmware import firmware_file
 from hpac_gym.bridge.limits import ServoLimits, servo_limits
 from hpac_gym.bridge.protocol import Reset
 from hpac_gym.bridge.transport import SerialTransport, Transport
+from hpac_gym.errors import ParameterError
 from hpac_gym.model import SERVOS, Hand
 
 _START_TIMEOUT = 5.0
@@ -188,6 +189,9 @@ class VirtualHand:
         start_us: initial value of the clock [µs].
         quiet_until_us: time before which `on_pulses` is not called, and at which there is a tick
             [µs]: what needs the pulses only now and then sets it, and runs several times faster.
+
+    Raises:
+        ParameterError: `period_us` is below 1.
     """
 
     def __init__(
@@ -199,6 +203,8 @@ class VirtualHand:
         start_us: int = 0,
         quiet_until_us: int = 0,
     ) -> None:
+        if period_us < 1:
+            raise ParameterError(f"period_us = {period_us} µs must be at least 1 µs")
         self._library = load_library()
         self._hand = ctypes.create_string_buffer(self._library.hpac_library_hand_size())
         self._config = config if config is not None else default_config()

@@ -33,7 +33,7 @@ from hpac_gym.bridge.hands import (
 from hpac_gym.bridge.limits import (
     limits_hash,
 )
-from hpac_gym.errors import HpacError, ShapeError
+from hpac_gym.errors import HpacError, ParameterError, ShapeError
 from hpac_gym.model import (
     HPAC,
     SERVOS,
@@ -261,6 +261,11 @@ def test_an_unplugged_hand_neither_connects_nor_reads_nor_writes(virtual_hand):
     for call in (virtual_hand.connect, lambda: transport.read(0.0), lambda: transport.write(b"")):
         with pytest.raises(PortError, match="unplugged"):
             call()
+
+
+def test_a_virtual_clock_whose_ticks_never_come_is_refused():
+    with pytest.raises(ParameterError, match="period_us = 0 µs must be at least 1 µs"):
+        VirtualHand(period_us=0)
 
 
 def test_the_virtual_clock_has_64_bits():
