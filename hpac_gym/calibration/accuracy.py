@@ -97,21 +97,22 @@ _KINDS = (("uncompensated", RED, "o"), ("compensated", GREEN, "s"))
 
 
 def residual_figure(by_joint: Mapping[str, Residuals]) -> Figure:
-    """The paper's residual figure: nine joints over their servo's angle, red uncompensated, green
-    compensated.
+    """The paper's residual figure: the measured of its nine joints over their servo's angle, red
+    uncompensated, green compensated.
 
     The axis shows ±2° as in the paper, or more if the data needs it. Outliers beyond the axis are
     counted in the panel's title."""
-    figure = new_figure(11, 8)
-    axes = figure.subplots(3, 3, sharey=True).flat
+    names = [name for name in EVALUATED if name in by_joint]
+    rows = -(-len(names) // 3)
+    figure = new_figure(11, 8 * max(rows, 1.5) / 3)
+    axes = list(figure.subplots(rows, min(len(names), 3), sharey=True, squeeze=False).flat)
     limit = residual_limit(by_joint)
-    for axis, name in zip(axes, EVALUATED, strict=True):
+    for axis in axes[len(names) :]:
+        axis.set_axis_off()
+    for axis, name in zip(axes, names, strict=False):
         axis.set_title(label(name), fontsize=10)
         axis.axhline(0.0, color=GREY, linewidth=0.8)
         axis.set_ylim(-1.05 * limit, 1.05 * limit)  # a point at the limit is shown whole
-        if name not in by_joint:
-            axis.text(0.5, 0.5, "not measured", transform=axis.transAxes, ha="center", color=GREY)
-            continue
         beyond = 0
         for kind, color, marker in _KINDS:
             values = np.degrees(getattr(by_joint[name], kind))
@@ -130,12 +131,7 @@ def residual_figure(by_joint: Mapping[str, Residuals]) -> Figure:
             )
     figure.supxlabel("servo angle u [°]")
     figure.supylabel("residual q_meas − q_model [°]")
-    handles, labels = next(
-        axis.get_legend_handles_labels()
-        for axis in figure.axes
-        if axis.get_legend_handles_labels()[0]
-    )
-    figure.legend(handles, labels, loc="outside right upper", frameon=False)
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside right upper", frameon=False)
     return figure
 
 

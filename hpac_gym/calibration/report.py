@@ -143,9 +143,10 @@ def fit_figure(identified: Identification, base: Hand, written: Hand) -> Figure:
     """Residuals of the points for the design and for the written file, joint by joint; held-out
     points are rings.
     """
-    figure = new_figure(13, 9)
-    axes = list(figure.subplots(3, 5).flat)
     designed, table = (residuals(identified.samples, hand) for hand in (base, written))
+    rows = -(-len(table) // 5)
+    figure = new_figure(13, 3 * rows)
+    axes = list(figure.subplots(rows, min(len(table), 5), squeeze=False).flat)
     for axis, (name, (samples, rest)) in zip(axes, table.items(), strict=False):
         angle = np.degrees(samples.servo)
         out = held_out_rows(samples)
