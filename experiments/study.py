@@ -14,7 +14,7 @@ from experiments.populations import Workshop
 from experiments.results import Part
 from hpac_gym.command import command_parser, run, whole_number
 from hpac_gym.figures import save
-from hpac_gym.output import write_text
+from hpac_gym.output import writable_folder, write_text
 
 TRIAL_PROTOCOL = {"points": 15, "seconds_per_point": 3.0}
 """Slow, because a finger that stops from a faster move overshoots within its friction band, which
@@ -31,7 +31,8 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument(
         "parts",
         nargs="*",
-        choices=PARTS,
+        choices=("all", *PARTS),
+        default="all",
         metavar="PART",
         help=f"parts to run: {', '.join(PARTS)} (default: all)",
     )
@@ -55,7 +56,8 @@ def main(argv: list[str] | None = None) -> int:
         "--out", type=Path, default=Path("runs/study"), metavar="DIR", help="folder of the results"
     )
     arguments = parser.parse_args(argv)
-    for name in arguments.parts or PARTS:
+    writable_folder(arguments.out)
+    for name in PARTS if "all" in arguments.parts else arguments.parts:
         part = PARTS[name](arguments)
         for stem, figure in part.figures.items():
             save(figure, arguments.out / f"{stem}.png", part.caption)

@@ -12,7 +12,7 @@ from experiments import commands, populations, rivals, study, tracking, trials
 from experiments.bench import JointCamera, Protocol, metal_sweeps
 from experiments.quasistatic import Built, Metal, hand_course
 from experiments.reference import Reference
-from experiments.results import Column, mean_of, range_of, rows_of, table
+from experiments.results import Column, Part, mean_of, range_of, rows_of, table
 from experiments.rig import NEAR_STOP, rig_of
 from experiments.trials import JointTrials
 from hpac_gym.calibration.accuracy import EVALUATED
@@ -259,6 +259,15 @@ def test_the_command_writes_table_and_numbers_of_each_part_that_is_named(tmp_pat
     assert study.main([*words, "--out", str(tmp_path)]) == 0
     written = {path.name for path in tmp_path.iterdir()}
     assert written == {"populations.md", "populations.json", "causes.md", "causes.json"}
+
+
+@pytest.mark.parametrize("words", [[], ["all"], ["tracking", "causes"]])
+def test_without_a_part_all_are_run(words, tmp_path, monkeypatch):
+    made = []
+    parts = {name: lambda _, name=name: made.append(name) or Part(name, {}) for name in study.PARTS}
+    monkeypatch.setattr(study, "PARTS", parts)
+    assert study.main([*words, "--out", str(tmp_path)]) == 0
+    assert made == (words if len(words) == 2 else list(parts))
 
 
 def test_an_unknown_part_is_told(tmp_path, capsys):
