@@ -164,7 +164,7 @@ def slack_droop(make: Factory, settings: HandSettings, world: WorldSettings) -> 
     with _hands(make, 1, setup, world) as hands:
         hands.rest(4.0)
         joints = hands.state().joint_pos[0]
-    return float(max(joints[JOINT_INDEX[f"{finger}_mcp"]] for finger in FINGERS))
+    return float(joints[[JOINT_INDEX[f"{finger}_mcp"] for finger in FINGERS]].max())
 
 
 def opposition_gap(
@@ -225,16 +225,17 @@ def figures(
         [blocked_fingertip(make, settings, world, finger) for finger in FINGERS], axis=0
     )
     creep, held_speed = held_cylinder(make, settings, world)
-    speed = max(free_speed, blocked_speed, held_speed)
-    gap = max(
-        opposition_gap(make, settings, world, finger) for finger in ("index", "middle", "ring")
+    # NumPy's maximum is NaN if any of them is.
+    speed = float(np.max([free_speed, blocked_speed, held_speed]))
+    gap = np.max(
+        [opposition_gap(make, settings, world, finger) for finger in ("index", "middle", "ring")]
     )
     return [
         Figure("free space: PIP, DIP, IP against Eqs. (12), (13)", manifold, 1e-3, "rad"),
         Figure("free space: MCP, MP, CMC against the command", command, 0.3, "deg"),
         Figure("blocked fingertip: contact torque against tendon torque", 100 * blocked, 1.0, "%"),
         Figure("held cylinder, 0.15 kg: creep in 10 s", 1e3 * creep, 2.0, "mm"),
-        Figure("opposition: thumb to index, middle and ring", 1e3 * gap, 2.0, "mm"),
+        Figure("opposition: thumb to index, middle and ring", 1e3 * float(gap), 2.0, "mm"),
         Figure(
             "palm down, servos at rest: most drooping MCP",
             slack_droop(make, settings, world),

@@ -29,6 +29,7 @@ from hpac_gym.camera.poses import object_place
 from hpac_gym.command import command_parser, run, whole_number
 from hpac_gym.model import HPAC
 from hpac_gym.model.checks import Array
+from hpac_gym.output import writable_file
 from hpac_gym.progress import progress
 
 OUT = Path("docs/results/experiments/watched.json")
@@ -101,6 +102,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--seed", type=whole_number(0), default=0)
     parser.add_argument("--out", type=Path, default=OUT)
     arguments = parser.parse_args(argv)
+    writable_file(arguments.out)
     seed = arguments.seed
     objects = []
     for name, lens in LENSES.items() if arguments.pictures else ():

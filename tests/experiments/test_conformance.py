@@ -4,6 +4,7 @@ import json
 from dataclasses import replace
 from functools import partial
 
+import numpy as np
 import pytest
 
 from experiments import conformance
@@ -80,6 +81,20 @@ def test_heavier_weight_droops_more(engine):
     assert (
         slack_droop(make, BODIES["twin"], replace(WORLD, gravity=2 * WORLD.gravity)) > 1.5 * droop
     )
+
+
+def test_a_figure_of_which_one_part_is_no_number_is_missed(monkeypatch):
+    parts = {
+        "free_space": lambda *_: (0.0, 0.0, 0.0),
+        "blocked_fingertip": lambda *_: (0.0, np.nan),
+        "held_cylinder": lambda *_: (0.0, 0.0),
+        "slack_droop": lambda *_: 0.0,
+        "opposition_gap": lambda *of: np.nan if of[-1] == "middle" else 0.0,
+    }
+    for name, part in parts.items():
+        monkeypatch.setattr(conformance, name, part)
+    missed = [figure.name.partition(":")[0] for figure in figures(None) if not figure.holds]
+    assert missed == ["opposition", "chatter"]
 
 
 @pytest.mark.parametrize(("value", "status"), [(0.5, 0), (1.5, 1)])

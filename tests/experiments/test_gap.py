@@ -5,9 +5,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from experiments import gap
+from experiments import deployed, forecast, gap, shapes, study, watched
 from hpac_gym.bridge import HandLink, VirtualHand, servo_from_pulses
 from hpac_gym.model import HPAC, SERVOS, ServoCommand, streamed_servo
+from hpac_gym.output import OutputError
 from hpac_gym.physics.servos import Servos
 from hpac_gym.physics.settings import ServoSettings
 
@@ -106,6 +107,19 @@ def test_a_row_is_the_nominal_hand_but_for_its_cause(monkeypatch):
     held = {row: gap.episodes("grasp", row, 0, seeds) for row in (gap.NOMINAL, "not off", "far")}
     assert held["not off"] == held[gap.NOMINAL]
     assert sum(held["far"]) < sum(held[gap.NOMINAL]) - 2
+
+
+@pytest.mark.parametrize("experiment", [deployed, forecast, gap, shapes, study, watched])
+def test_results_that_cannot_be_written_are_told_before_hours_of_work(
+    experiment, monkeypatch, tmp_path
+):
+    for work in ("shared", "progress", "object_errors"):
+        monkeypatch.delattr(experiment, work, raising=False)
+    monkeypatch.setattr(experiment, "PARTS", {"causes": None}, raising=False)
+    (tmp_path / "file").touch()
+    out = tmp_path / "file" if experiment is study else tmp_path
+    with pytest.raises(OutputError, match=f"'{out}'"):
+        experiment.main(["--out", str(out)])
 
 
 def test_the_board_row_is_latched(monkeypatch):
