@@ -222,6 +222,21 @@ def test_a_state_is_not_changed_by_what_comes_after_it(name):
 
 
 @engines
+def test_a_new_episode_has_no_forces_of_the_one_before(name):
+    simulation = Simulation(make_engine(name, 2))
+    simulation.engine.every_step = True
+    start = setup(None, 1)
+    simulation.reset([0, 1], [start] * 2)
+    simulation.command(np.tile(servo_from_synergy(CLOSED), (2, 1)), 0.4)
+    simulation.rest(0.8)
+    before = simulation.state().force_steps
+    simulation.reset([1], [start])
+    np.testing.assert_array_equal(simulation.state().force_steps, before * [[1.0], [0.0]])
+    assert before.max(axis=1).min() > 1.0
+    simulation.engine.close()
+
+
+@engines
 @pytest.mark.parametrize(
     ("grasp", "begin"),
     [(None, 0.5), ("screwdriver", 0.2)],

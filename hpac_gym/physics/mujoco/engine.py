@@ -119,14 +119,15 @@ class MuJoCoEngine(Engine):
 
     def state(self) -> SceneState:
         time = self._steps * self.dt
+        forces = self._force_steps * (time > 0)[:, None]  # none in a new episode
         parts = [
-            (rows, group.state(rows, time[rows], self._force_steps[rows]))
+            (rows, group.state(rows, time[rows], forces[rows]))
             for group, rows in self._rows.items()
         ]
         if len(parts) == 1 and isinstance(parts[0][0], slice):
             return parts[0][1]
         state = SceneState.empty(self.num_worlds)
-        state.force_steps = np.zeros_like(self._force_steps)
+        state.force_steps = np.zeros_like(forces)
         for rows, part in parts:
             for entry in fields(SceneState):
                 getattr(state, entry.name)[rows] = getattr(part, entry.name)

@@ -86,7 +86,8 @@ class PyBulletEngine(Engine):
             PhysicsError: A world's joint angles are not finite.
         """
         found = SceneState.empty(self.num_worlds)
-        found.force_steps = self._force_steps
+        # None in a new episode.
+        found.force_steps = self._force_steps * [[scene.time > 0] for scene in self.scenes]
         for world, scene in enumerate(self.scenes):
             if scene.setup is not None:
                 self._read(found, world, scene)
