@@ -81,14 +81,17 @@ class SerialTransport(Transport):
             raise PortError(_open_advice(port, error)) from error
 
     def read(self, timeout: float) -> bytes:
+        data = b""
         try:
             if self._serial.timeout != timeout:
                 self._serial.timeout = timeout
-            data: bytes = self._serial.read(1)
+            data += self._serial.read(1)
             # A socket tells only whether bytes wait, so this takes them one by one.
             while data and len(data) < READ_SIZE and (waiting := self._serial.in_waiting):
                 data += self._serial.read(waiting)
         except (OSError, TypeError) as error:  # TypeError: raised by pyserial if it was closed
+            if data:  # the last of a port that has gone, which the next read tells
+                return data
             if "multiple access" not in str(error) or self._missed > _MISSED_MAX:
                 raise PortError(_gone(f"{self.port} has gone", error)) from error
             self._missed += (
@@ -125,6 +128,10 @@ def _open_advice(port: str, error: Exception) -> str:
         return f"{port}: no such port; `hpac doctor` lists the ones that are there"
     if "Inappropriate ioctl" in text or "Is a directory" in text:
         return f"{port} is not a serial port; `hpac doctor` lists the ones that are there"
+    if port.startswith("socket://"):
+        told = "[Errno" in text or "timed out" in text  # anything else pyserial says of the name
+        reason = text.rpartition("] ")[2] if told else "it is not socket://HOST:PORT, at most 65535"
+        return f"{port} cannot be opened: {reason}"
     return _gone(f"{port} cannot be opened", error)
 
 

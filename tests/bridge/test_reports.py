@@ -236,6 +236,15 @@ def test_a_socket_carries_bytes_both_ways_and_waits_no_longer_than_told(pair):
     assert quiet, "a stop must not wait until the move before it is acknowledged"
 
 
+def test_what_a_socket_has_sent_before_it_goes_is_read(pair):
+    transport, other_end = pair
+    other_end.sendall(b"the last answer")
+    other_end.close()
+    assert transport.read(1.0) == b"the last answer"
+    with pytest.raises(PortError, match="socket disconnected"):
+        transport.read(1.0)
+
+
 def test_a_socket_whose_other_end_has_gone_is_a_port_error(pair):
     transport, other_end = pair
     other_end.close()
@@ -255,10 +264,11 @@ def test_a_socket_whose_other_end_has_gone_is_a_port_error(pair):
         ("/dev/null", " is not a serial port"),
         (__file__, " is not a serial port"),
         ("/dev", " is not a serial port"),
-        ("socket://localhost:1", " cannot be opened"),
+        ("socket://localhost:1", " cannot be opened: Connection refused"),
+        ("socket://:1", " cannot be opened: Connection refused"),
         *(
-            (f"socket://{rest}", " cannot be opened")
-            for rest in ("", "host", ":1", "host:", "host:x")
+            (f"socket://{rest}", " cannot be opened: it is not socket://HOST:PORT, at most 65535")
+            for rest in ("", "host", "host:", "host:x", "host:70000")
         ),
     ],
 )
