@@ -103,8 +103,10 @@ def build(
     option = root.find("option")
     world = root.find("worldbody")
     actuators = root.find("actuator")
-    gravity = exact_text([0, 0, -settings.gravity])
-    option.attrib |= {"timestep": exact_text([settings.dt]), "gravity": gravity}
+    option.attrib |= {
+        "timestep": exact_text([settings.dt]),
+        "gravity": exact_text([0, 0, -settings.gravity]),
+    }
     # A drive's control leads its servo, and can therefore exceed the servo's range (see
     # `Parameters.lead`).
     contact = "enable" if settings.collisions else "disable"
