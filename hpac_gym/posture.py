@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from hpac_gym.errors import ParameterError
 from hpac_gym.figures import new_figure, require, save
 from hpac_gym.model import (
     HPAC,
@@ -56,6 +57,8 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the command: list, show, draw or send postures."""
     hand = load_hand(arguments.model) if arguments.model else HPAC
     everything = arguments.name in ("list", "all")
+    if everything and arguments.port:
+        raise ParameterError(f"--port takes one posture, not '{arguments.name}'")
     shown = list(POSTURES.values()) if everything else [posture(arguments.name)]
     sheet = arguments.out or (Path("runs/postures.png") if arguments.name == "all" else None)
     if sheet:
@@ -70,7 +73,7 @@ def run(arguments: argparse.Namespace) -> int:
         draw(shown, sheet, hand)
         if not arguments.json:
             print(f"drawn to {sheet}")
-    if arguments.port and not everything:
+    if arguments.port:
         from hpac_gym.bridge.commands import send_and_hold
 
         send_and_hold(arguments.port, command_to(shown[0], hand), hand)
