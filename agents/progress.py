@@ -161,7 +161,7 @@ class Progress:
 
 def drop_rows_after(path: Path, episodes: int) -> None:
     """Remove rows that an interrupted training wrote after its last checkpoint, including an
-    incomplete one.
+    incomplete one, which may be the first.
 
     Raises:
         RunError: The file is not a learning curve.
@@ -169,8 +169,8 @@ def drop_rows_after(path: Path, episodes: int) -> None:
     if not path.exists():
         return
     try:
-        header, *rows = path.read_text().splitlines(keepends=True) or [""]
-        kept = [row for row in rows if row.endswith("\n") and int(row.split(",")[0]) <= episodes]
+        rows = [row for row in path.read_text().splitlines(keepends=True) if row.endswith("\n")]
+        kept = rows[:1] + [row for row in rows[1:] if int(row.split(",")[0]) <= episodes]
     except (OSError, ValueError) as error:
         raise RunError(f"'{path}' is not a learning curve: {error}") from None
-    write_text(path, "".join([header, *kept]))
+    write_text(path, "".join(kept))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from agents.curves import read_curve, report
-from agents.progress import Progress
+from agents.progress import Progress, drop_rows_after
 
 
 @pytest.fixture
@@ -29,6 +29,17 @@ def test_the_last_row_counts_no_trial_for_which_the_run_has_no_room(tmp_path):
     assert not progress.going
     columns = read_curve(tmp_path / "progress.csv")
     assert (columns["episodes"], columns["success_rate"], columns["window"]) == (600, 1.0, 600)
+
+
+@pytest.mark.parametrize("half", ["", "episodes,sec", "episodes,seconds,success_rate,window,en"])
+def test_a_curve_whose_head_a_full_disk_cut_begins_anew_when_it_is_resumed(half, tmp_path):
+    (tmp_path / "progress.csv").write_text(half)
+    drop_rows_after(tmp_path / "progress.csv", 400)
+    progress = Progress(tmp_path, 600, 10**9, done=400)
+    progress.add([True] * 200, 1, lambda: {"entropy": -0.5})
+    progress.write_row({})
+    progress.close()
+    assert read_curve(tmp_path / "progress.csv")["episodes"] == [600]
 
 
 def test_a_report_draws_what_there_is(curve):
