@@ -81,7 +81,7 @@ class SerialTransport(Transport):
             raise PortError(_open_advice(port, error)) from error
 
     def read(self, timeout: float) -> bytes:
-        data = b""
+        data = bytearray()
         try:
             if self._serial.timeout != timeout:
                 self._serial.timeout = timeout
@@ -91,7 +91,7 @@ class SerialTransport(Transport):
                 data += self._serial.read(waiting)
         except (OSError, TypeError) as error:  # TypeError: raised by pyserial if it was closed
             if data:  # the last of a port that has gone, which the next read tells
-                return data
+                return bytes(data)
             if "multiple access" not in str(error) or self._missed > _MISSED_MAX:
                 raise PortError(_gone(f"{self.port} has gone", error)) from error
             self._missed += (
@@ -100,7 +100,7 @@ class SerialTransport(Transport):
             time.sleep(_MISSED_WAIT)
             return b""
         self._missed = 0
-        return data
+        return bytes(data)
 
     def write(self, data: bytes) -> None:
         try:
