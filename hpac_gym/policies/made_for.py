@@ -109,8 +109,11 @@ def require_fit(
         raise PolicyError(f"{what} is damaged: made_for is not readable: {error}") from None
     if differs:
         raise PolicyError(f"{what} does not fit {here}: {differs}")
-    if (observed := vector_size(env.observation_space)) is None:
-        raise PolicyError(f"{what} takes a vector, {here} observes {env.observation_space}")
+    space = env.observation_space
+    if (observed := vector_size(space)) is None:
+        parts = space.items() if isinstance(space, Dict) else [("observation", space)]
+        shapes = ", ".join(f"{name} {part.shape}" for name, part in parts)
+        raise PolicyError(f"{what} takes a vector, {here} observes {shapes}")
     if sizes != (wanted := (observed, vector_size(env.action_space))):
         needs = "".join(f"; it needs {name}={value!r}" for name, value in options_of(told).items())
         raise PolicyError(f"{what} maps {sizes} values, {here} needs {wanted}{needs}")

@@ -95,7 +95,11 @@ def read_card(folder: Path) -> dict[str, Any]:
         str.rpartition(told["env_id"], ":")
         options_of(told)
         return told
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+    except OSError as error:
+        raise PolicyError(
+            f"'{folder}' is not an exported policy: {CARD}: {error.strerror}"
+        ) from None
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise PolicyError(f"'{folder}' is not an exported policy: {error}") from None
 
 
