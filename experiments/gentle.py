@@ -211,7 +211,7 @@ def rows(episodes: int, body: str, told: bool) -> dict[str, Any]:
             episodes_of(env, act, HELD_OUT_SEED + first) for first in range(0, episodes, WORLDS)
         ]
         judged[name] = summary(
-            {key: np.concatenate([one[key] for one in parts]) for key in parts[0]}
+            {key: np.concatenate([one[key] for one in parts])[:episodes] for key in parts[0]}
         )
     env.close()
     return judged

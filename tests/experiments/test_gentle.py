@@ -63,6 +63,18 @@ def test_the_teacher_holds_more_than_a_hand_that_stays_open():
     assert sum(cells[group]["episodes"] for group in groups) == 32
 
 
+def test_rows_count_the_episodes_that_are_asked_for(monkeypatch):
+    many = np.zeros(experiment.WORLDS, bool)
+    monkeypatch.setattr(experiment, "Hands", lambda *_: Hands(2, "load"))
+    monkeypatch.setattr(experiment, "fitted", lambda _: None)
+    monkeypatch.setattr(
+        experiment,
+        "episodes_of",
+        lambda *_: {"limit": many + 3.5, "success": many, "crushed": many},
+    )
+    assert experiment.rows(100, "light", True)["teacher"]["all"]["episodes"] == 100
+
+
 def test_a_policy_is_trained_written_and_judged(tmp_path, monkeypatch):
     monkeypatch.setattr(gentle, "WORLDS", 4)
     words = ["--out", str(tmp_path), "--rounds", "2", "--steps", str(4 * 88 * 12 - 9), "--untold"]
