@@ -209,7 +209,8 @@ def _evaluation(path: Path, sha256: str) -> dict[str, Any]:
                 f"'{path}' compares {len(judged['files'])} policies: evaluate this one alone"
             )
         judged["policies"]["learned"], judged["first_seed"], judged["last_seed"]
-        weights = str(judged["policy"]["sha256"])
+        of = judged["policy"]
+        weights = str(of["sha256"] if "sha256" in of else of["weights_sha256"])  # of a card
     except PolicyError:
         raise
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:

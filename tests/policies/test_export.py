@@ -284,6 +284,8 @@ def test_the_bundle_has_the_evaluation_and_a_film_in_the_hub_s_layout(policy, tm
     words[-1] = f"{tmp_path}/again.json"
     assert called(evaluate, *words, "--workers", "1", "--no-baselines") == 0
     assert json.loads((tmp_path / "again.json").read_text())["policies"] == judged["policies"]
+    given = [f"{tmp_path}/policy.hpac", "--evaluation", f"{tmp_path}/again.json"]
+    assert main(["export", *given, "--out", f"{tmp_path}/third"]) == 0
 
 
 @pytest.mark.parametrize(
