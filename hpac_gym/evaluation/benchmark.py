@@ -62,6 +62,12 @@ def header(args: argparse.Namespace) -> Results:
         )
     seeds = list(range(RUNS if budget else 1))
     runs = [(_seeded(args.policy, seed), _seeded(args.normalize, seed)) for seed in seeds]
+    told = [about(name, statistics) for name, statistics in runs]
+    weights = [one.get("sha256", one.get("weights_sha256")) for one in told if one]
+    if len(set(weights)) < len(weights):
+        raise ResultsError(
+            f"policy '{args.policy}': two of its {RUNS} runs have the same weights; each needs a seed of its own"
+        )
     splits = splits_of(args.env)
     judged = [split for split in splits if is_installed(splits[split].get("engine", "mujoco"))]
     left_out = [split for split in splits if split not in judged]
@@ -78,9 +84,7 @@ def header(args: argparse.Namespace) -> Results:
         "env_id": args.env,
         "env_sha256": env_hash(args.env),
         "policy": args.policy,
-        "files": [
-            _file(name, told) for name, statistics in runs if (told := about(name, statistics))
-        ],
+        "files": [_file(name, facts) for (name, _), facts in zip(runs, told, strict=True) if facts],
         "about": args.about,
         "budget": budget,
         "training_seeds": args.training_seeds if budget else None,

@@ -212,10 +212,15 @@ def table(results: Results) -> str:
 
 def comparison(first: Results, second: Results) -> str:
     """Probability that a run of the first scores higher than a run of the second, averaged over
-    splits that both have.
+    splits that both have, with its interval, which one run of each has not.
     """
     splits = [split for split in judged_splits(first) if split in judged_splits(second)]
     tables = _scores(first, splits), _scores(second, splits)
     value = float(probability_of_improvement(*tables))
-    low, high = stratified_bootstrap(probability_of_improvement, *tables)
-    return f"Probability that `{first['policy']}` does better than `{second['policy']}`: {value:.2f} [{low:.2f}, {high:.2f}]"
+    told = (
+        f"Probability that `{first['policy']}` does better than `{second['policy']}`: {value:.2f}"
+    )
+    if first["budget"] or second["budget"]:
+        low, high = stratified_bootstrap(probability_of_improvement, *tables)
+        told += f" [{low:.2f}, {high:.2f}]"
+    return told

@@ -192,7 +192,8 @@ def test_a_partial_file_is_compared_on_what_both_have(partial):
     whole = copy.deepcopy(partial)
     del whole["left_out"]
     whole["cells"].append(whole["cells"][0] | {"split": "PyBullet"})
-    assert ": 0.50 [" in comparison(partial, whole)
+    told = comparison(partial, whole)
+    assert told.endswith(": 0.50"), "one run of each has no spread, and no interval of width 0"
 
 
 @pytest.fixture
@@ -421,6 +422,17 @@ def test_what_training_leaves_out_of_an_episode_of_any_objects_changes_few_outco
         episodes.close()
     assert 0.1 < held[0].mean() < 0.9
     assert (held[0] != held[1]).mean() < 0.05
+
+
+def test_five_runs_of_one_seed_are_refused_before_they_are_judged(tmp_path):
+    grasp = read_policy("grasp")
+    for seed in range(5):
+        write_policy(
+            tmp_path / f"{seed}.hpac", PolicyFile(grasp.actor, grasp.about | {"seconds": seed})
+        )
+    words = ["--policy", f"{tmp_path}/{{seed}}.hpac", "--budget", "1e5", "--out", "r.json"]
+    with pytest.raises(ResultsError, match="two of its 5 runs have the same weights"):
+        main(["HPAC-Grasp-v0", *words])
 
 
 def test_an_exported_policy_is_a_file_with_its_steps_and_a_baseline_s_name_is_none(
