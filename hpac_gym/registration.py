@@ -75,12 +75,14 @@ def register(
         defaults: options of the id by default, such as `randomize="hand"`.
 
     Raises:
-        ParameterError: The id is one of this package's, or the task or the number of steps cannot
-            be used.
+        ParameterError: The id is one of this package's or names a module, or the task or the number
+            of steps cannot be used.
         gymnasium.error.Error: The id is not one of Gymnasium's form.
     """
     if env_id in IDS:
         raise ParameterError(f"{env_id!r} is an id of hpac_gym: choose another one")
+    if ":" in env_id:
+        raise ParameterError(f"id {env_id!r} must be without its module, such as 'My-v0'")
     _add(Registered(env_id, task, max_episode_steps, defaults))
 
 

@@ -270,6 +270,8 @@ def test_what_is_no_task_is_refused(task, steps, error, message):
 def test_an_id_of_the_package_or_of_nobody_is_refused():
     with pytest.raises(ParameterError, match="'HPAC-Grasp-v0' is an id of hpac_gym"):
         hpac_gym.register("HPAC-Grasp-v0", Grasp)
+    with pytest.raises(ParameterError, match="'mytasks:Mine-v0' must be without its module"):
+        hpac_gym.register("mytasks:Mine-v0", Grasp)
     for wrong in ("Mine-v0", "nosuchmodule:Mine-v0"):
         with pytest.raises(EnvError, match=f"no environment '{wrong}'") as error:
             make_task(wrong)

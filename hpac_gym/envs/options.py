@@ -203,9 +203,13 @@ def _setup_of_goal(given: Any, task: Task, hand: Hand) -> GoalSetup:
 
 
 def _checked_setup(given: Any, task: Task, hand: Hand) -> SceneSetup:
-    if not (isinstance(given, SceneSetup) and isinstance(given.object, ObjectSpec)):
+    if not (
+        isinstance(given, SceneSetup)
+        and isinstance(given.object, ObjectSpec)
+        and isinstance(given.hand, Hand)
+    ):
         raise ParameterError(
-            f"option 'setup' must be a SceneSetup with an ObjectSpec, not {given!r}"
+            f"option 'setup' must be a SceneSetup with an ObjectSpec and a Hand, not {given!r}"
         )
     found: dict[str, Any] = {
         name: as_finite_vector(getattr(given, name), size, f"setup {name}")

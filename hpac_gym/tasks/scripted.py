@@ -70,6 +70,9 @@ the next kind's."""
 class Script:
     """A scripted policy."""
 
+    _time = 0.0
+    """Time since the episode began [s]."""
+
     def reset(self) -> None:
         """Begin an episode."""
         self._time = 0.0

@@ -205,6 +205,7 @@ SETUPS = [
     ({"setup": "nonsense"}, ParameterError, "SceneSetup.*'nonsense'"),
     ({"setup": 0}, ParameterError, "SceneSetup.*0"),
     ({"setup": a_setup(object="rod")}, ParameterError, "ObjectSpec.*'rod'"),
+    ({"setup": a_setup(hand="mine.toml")}, ParameterError, "a Hand, not .*'mine.toml'"),
     ({"setpu": None}, ParameterError, "'setpu'.*'setup'"),
     ("setup", ParameterError, "'setup'.*None or"),
     (

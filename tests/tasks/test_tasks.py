@@ -16,8 +16,10 @@ from hpac_gym.tasks.grasp import Grasp, GraspConfig
 from hpac_gym.tasks.grasp_any import GraspAny, GraspAnyConfig
 from hpac_gym.tasks.grasp_setups import PALM_SURFACE, GraspWeights
 from hpac_gym.tasks.grasp_types import GraspByType, GraspTypeConfig
+from hpac_gym.tasks.phases import PickPlaceTimetable
 from hpac_gym.tasks.pick_place import PickPlace, PickPlaceConfig
 from hpac_gym.tasks.posture import Posture
+from hpac_gym.tasks.scripted import ScriptedClosure, ScriptedPickPlace
 from hpac_gym.tasks.task import (
     CONTROL_HZ,
     FAILURE,
@@ -338,3 +340,10 @@ def test_an_observation_stays_within_its_bounds_and_keeps_the_rest_as_it_is():
         layout.see(np.array([[0.25, 3.0], [-7.0, 0.5]])), [[0.25, 1.0, 0.0], [-1.0, 0.5, 0.75]]
     )
     assert layout.slices == {"a": slice(0, 2), "b": slice(2, 3)}
+
+
+def test_a_script_that_was_made_begins_an_episode():
+    for script in (ScriptedClosure(), ScriptedPickPlace(PickPlaceTimetable())):
+        first = script.act(np.zeros(0))
+        script.reset()
+        np.testing.assert_array_equal(script.act(np.zeros(0)), first)
