@@ -106,8 +106,8 @@ class Body:
         self.place(setup)
 
     def place(self, setup: SceneSetup | None, servo: Array | None = None) -> None:
-        """Put the object at its place and the wrist at its start, the hand as its servos have it,
-        shape (6,) [rad].
+        """Put the object at its place and the wrist at its start, the hand as its servos have it by
+        their encoders, shape (6,) [rad].
         """
         if servo is not None:
             hand = setup.hand
@@ -200,10 +200,14 @@ class Body:
         closed = state.horn[0, : len(DIGITS)].max() >= OPEN
         if not (over or lost) or (closed and self._at_us - self._driven_us < OPENED_AFTER_US):
             return
-        horn = self._env.episodes.simulation.servos.horn[0].copy()
-        if closed:
-            horn[: len(DIGITS)] = 0.0
-        self.place(self.setup, horn)
+        self.put_back(opened=closed)
+
+    def put_back(self, opened: bool = False) -> None:
+        """Put the object and the wrist back, the hand as its servos have it, or opened by somebody."""
+        servo = self._env.episodes.simulation.servos.horn[0].copy()
+        if opened:
+            servo[: len(DIGITS)] = 0.0
+        self.place(self.setup, servo)
 
     def seen(self, state: SceneState) -> Pose:
         """The object of a state as a camera sees it, in the hand's frame."""

@@ -148,13 +148,14 @@ def play(options: argparse.Namespace) -> int:
     """Move the hand as the sliders say, until Ctrl-C."""
     from hpac_gym.view.page import HandPage, Shown
 
-    with suppress(KeyboardInterrupt), ExitStack() as stack:
+    with ExitStack() as stack:
         env = stack.enter_context(env_of(options)).unwrapped
         body = Body(env, options.seed or 0, scene(env, options.env, options.seed))
         page = HandPage(body.setup, ABOUT_PLAY, browser=not options.no_browser)
         stack.enter_context(closing(page))
         if options.json:
             say(True, "", page=page.address)
+        stack.enter_context(suppress(KeyboardInterrupt))
         page.lift.visible = True
         page.sliders[-1].value = OPPOSED
         began = time.monotonic()
@@ -167,7 +168,7 @@ def play(options: argparse.Namespace) -> int:
             body.tidy_up(state)
             if page.object_back.is_set():
                 page.object_back.clear()
-                body.place(body.setup, state.horn[0])
+                body.put_back()
             if page.due():
                 page.show(Shown.of_state(state, servo))
             time.sleep(1 / POSE_HZ)

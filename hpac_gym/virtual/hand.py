@@ -174,7 +174,7 @@ class Virtual:
 
         if self.page.object_back.is_set():
             self.page.object_back.clear()
-            self.body.place(self.body.setup, state.horn[0])
+            self.body.put_back()
         if self.page.due():
             driven = bool(pulses.any())
             if driven and not self._driven:
@@ -202,7 +202,7 @@ class Virtual:
                     self.body.tell(told)
                 elif self._phase != "ready":
                     if self.body.outcome != RUNNING:  # the hand may have kept its power since
-                        self.body.place(self.body.setup, self.body.state().horn[0])
+                        self.body.put_back()
                     self.body.begin(now_us)
                     self._seen_until = 1e-6 * now_us + self._blind
                     self._told = RUNNING

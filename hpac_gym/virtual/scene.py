@@ -56,7 +56,7 @@ def env_of(options: argparse.Namespace) -> Any:
         )
     if options.grasp:
         more["grasp"] = options.grasp
-    elif options.env == GRASP and (options.object or options.seed is None):
+    if options.object or (options.env == GRASP and not options.grasp and options.seed is None):
         more["object"] = object_of(options.object or CAN)
     return make_env(options.env, engine="mujoco", body="light", **more)
 

@@ -104,7 +104,8 @@ class BadTransport(VirtualTransport):
             if (data := self.back.arrived(now)) or now >= until:
                 return data
             due = min(until, self.there.due, self.back.due)
-            self.back.send(now, super().read(max(due - now, 1e-6)))
+            data = super().read(max(due - now, 1e-6))
+            self.back.send(self.now(), data)
 
 
 class Relay:

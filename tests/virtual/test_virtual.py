@@ -265,6 +265,7 @@ def test_a_board_that_restarts_when_its_port_is_opened_is_reached_over_a_bad_wir
         (["--latency", "-1"], "latency = -1.0 s must be a number within [0, 10] s"),
         (["--grasp", "none"], "no grasp 'none'"),
         (["--object", "ball"], "--object 'ball' is not one of"),
+        (["--grasp", "rod", "--object", "sphere:0.03"], "grasp 'rod' has its own object"),
         (["--env", GRASP_ANY, "--grasp", "rod"], f"--grasp and --object are of {GRASP}"),
         (["--arm-port", "99999"], "UDP port 99999"),
         (["--arm-port", "47999", "--pose-port", "70000"], "UDP port 70000"),
@@ -465,6 +466,16 @@ def test_a_hand_that_is_left_closed_by_a_stop_is_opened_and_its_object_put_back(
     np.testing.assert_allclose(body.state().object_pos[0], place, atol=0.002)
 
 
+def test_a_hand_whose_object_is_put_back_stays_as_its_servos_have_it(env):
+    """A hidden hand's servos have zeros of their own."""
+    body = Body(env, 7, scene(env, GRASP, 7))
+    body.follow(400_000, pulses_from_servo(np.full(6, 0.5)))
+    horn = body.state().horn[0].copy()
+    assert np.abs(horn - 0.5).max() > 0.02
+    body.put_back()
+    np.testing.assert_allclose(body.state().horn[0], horn, atol=1e-6)
+
+
 def test_servos_look_at_their_pulses_every_20_ms(env):
     body = Body(env, 0, scene(env, GRASP, None))
     wide = pulses_from_servo(np.full(6, 0.5))
@@ -504,6 +515,18 @@ def test_a_quiet_virtual_hand_calls_only_when_it_is_asked_to_and_moves_the_same(
     assert courses[0] == courses[1]
     first = calls.index(None)
     assert len(calls) - first < first / 10
+
+
+def test_what_a_hand_says_unasked_is_as_late_as_its_answers():
+    wire = BadTransport(VirtualHand(), np.random.default_rng(0), Faults(latency=0.016))
+    came = []
+    with HandLink(lambda: wire) as link:
+        asked = wire.now()
+        link.status(period=0.05)
+        take_in = link.exchange.known.take_in
+        link.exchange.known.take_in = lambda *told: came.append(wire.now()) or take_in(*told)
+        link.exchange.listen(0.2)
+    assert came[:3] == pytest.approx(asked + 0.016 + 0.05 * np.arange(1, 4), abs=0.002)
 
 
 # --- the wire
