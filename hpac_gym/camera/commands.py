@@ -12,7 +12,7 @@ from hpac_gym.camera import CameraError, opencv
 from hpac_gym.camera.detection import Device, Lens, Seen, detect, load_lens
 from hpac_gym.camera.sheet import RULER, TAGS, draw
 from hpac_gym.command import add_json, say
-from hpac_gym.output import write_text
+from hpac_gym.output import writable_file, write_text
 
 VIEWS = 15
 """Pictures of the sheet from which a camera is calibrated (chosen)."""
@@ -53,6 +53,7 @@ def run(options: argparse.Namespace) -> int:
         return 0
     out = options.out or Path("camera.json")
     before = load_lens(out) if out.exists() else Lens()
+    writable_file(out)
     with closing(Device(options.calibrate)) as frames:
         lens, error = calibrated(frames)
     lens = replace(lens, hand_board=before.hand_board, object_board=before.object_board)

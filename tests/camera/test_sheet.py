@@ -141,6 +141,12 @@ def test_a_file_that_is_no_camera_s_is_refused_before_the_camera_is_opened(
     assert path.read_text() == "the sheet"
 
 
+def test_a_calibration_that_cannot_be_written_ends_before_the_camera_is_opened(capsys, monkeypatch):
+    monkeypatch.delattr(commands, "Device")
+    words = ["tags", "--calibrate", "0", "--out", "/proc/none/camera.json"]
+    assert "cannot write to folder" in refused(capsys, lambda: hpac.main(words))
+
+
 class Video:
     """OpenCV's, of reads that fail or not."""
 
