@@ -139,8 +139,11 @@ def _header_faults(results: Results) -> Iterator[str]:
     yield from over_budget(results)
     if len({file["sha256"] for file in results["files"]}) != len(results["files"]):
         yield "two runs have the same policy file"
-    untold = {"policy", "about", "obs", "command"} - results.keys()
-    yield from (f"field '{name}' is missing" for name in sorted(untold))
+    yield from (
+        f"field '{name}' is missing"
+        for name in ("policy", "about", "obs", "command")
+        if name not in results
+    )
     missing = {"hpac_gym", "python", "mujoco-core"} - results["versions"].keys()
     yield from (f"version of {name} is missing" for name in sorted(missing))
 
