@@ -364,6 +364,22 @@ def test_no_push_and_a_push_of_nothing_are_the_same_bits(name):
 
 
 @engines
+def test_a_snapshot_keeps_the_pushes_though_their_array_is_used_again(name):
+    engine = make_engine(name)
+    engine.reset([0], [setup(None, 3)])
+    servo = np.zeros((1, STEPS, 6))
+    push = np.full((1, STEPS, 3), 2.0)
+    engine.advance(servo, servo, np.zeros((1, STEPS, 3)), push)
+    seen = engine.state()
+    snapshot = engine.save(0)
+    push[:] = 0.0
+    engine.restore(0, snapshot)
+    np.testing.assert_array_equal(engine.state().object_vel, seen.object_vel)
+    assert np.abs(seen.object_vel).max() > 0.1
+    engine.close()
+
+
+@engines
 def test_contacts_are_those_of_the_state_and_push_into_the_object(name):
     simulation = Simulation(make_engine(name))
     start = setup("large_cylinder", 0)

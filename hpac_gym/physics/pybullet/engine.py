@@ -72,7 +72,8 @@ class PyBulletEngine(Engine):
     def advance(
         self, servo: Array, servo_vel: Array, wrist: Array, push: Array | None = None
     ) -> None:
-        pushes = [None] * self.num_worlds if push is None else push
+        # A copy: a task may return the same array again, and `restore` needs this one.
+        pushes = [None] * self.num_worlds if push is None else push.copy()
         self._force_steps = np.zeros((self.num_worlds, servo.shape[1] * self.every_step))
         for scene, *tables in zip(
             self.scenes, servo, servo_vel, wrist, pushes, self._force_steps, strict=True
