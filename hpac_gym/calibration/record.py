@@ -8,6 +8,7 @@ import csv
 import io
 import os
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -70,7 +71,7 @@ class Sweep:
         """Row numbers of each segment, in the order of the record."""
         keys = self.trial.astype(int) * len(SERVOS) + self.swept
         starts = np.flatnonzero(np.diff(keys, prepend=keys[:1] - 1))
-        return [np.arange(a, b) for a, b in zip(starts, [*starts[1:], len(self)], strict=True)]
+        return [np.arange(a, b) for a, b in pairwise([*starts, len(self)])]
 
     def measured(self) -> list[str]:
         """Joints that are measured at a sampling point of their own servo's sweep."""

@@ -91,6 +91,7 @@ def test_segments_are_what_belongs_together_in_time():
     sweep = concatenate([made_up_sweep(1), made_up_sweep(1, trial=1), made_up_sweep(4, trial=1)])
     assert [len(rows) for rows in sweep.segments()] == [30, 30, 30]
     assert [int(sweep.swept[rows[0]]) for rows in sweep.segments()] == [1, 1, 4]
+    assert sweep[:0].segments() == []
 
 
 def test_joints_of_the_servos_are_all_joints_once():
