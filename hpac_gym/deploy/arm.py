@@ -76,11 +76,14 @@ class Remote(Arm):
         self._socket = udp(self._where, host, port)
 
     def ready(self, wait: Callable[[float], None], told: dict[str, Any]) -> None:
-        """Ask until the arm answers that it is ready.
+        """Ask until the arm answers that it is ready; an answer that came before is none.
 
         Raises:
             DeployError: It does not within a minute.
         """
+        with suppress(OSError):  # until none is left
+            while True:
+                self._socket.recv(4096)
         late = Late(f"waiting for {self._where}")
         for _ in range(600):
             self.tell(told)

@@ -67,6 +67,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--grasp", metavar="NAME", help="named grasp or type, for the tasks that have them"
     )
     parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="any other option of the environment that the policy was trained in, such as wrist=free; may be repeated",
+    )
+    parser.add_argument(
         "--model",
         metavar="FILE",
         help="what commands are computed with: a hand file, as `hpac calibrate` writes it",
@@ -109,10 +116,12 @@ def run(options: argparse.Namespace) -> int:
     env_id = options.env or about(options.policy).get("env_id") or "HPAC-Grasp-v0"
     hand = load_hand(options.model) if options.model else HPAC
     thing = object_of(options.object)
-    observer = Observer(env_id, thing, hand, options.grasp, **needed_options(options.policy))
+    given = environment.with_set(needed_options(options.policy), options.set)
+    observer = Observer(env_id, thing, hand, options.grasp, **given)
     policy = load_policy(options.policy, observer, options.normalize)
     with ExitStack() as stack:
-        source = stack.enter_context(closing(source_of(options.pose, thing)))
+        source = source_of(options.pose, thing, observer.upright)
+        stack.enter_context(closing(source))
         if options.dry_run:
             _dry_run(options, observer, policy, source)
             return 0
@@ -127,7 +136,7 @@ def run(options: argparse.Namespace) -> int:
         port = connector(options.port, stack)
         transport = stack.enter_context(closing(open_transport(port)))  # or no log is begun
         log = stack.enter_context(Log(options.log))
-        log.write(hpac_deploy=LOG_VERSION, **_head(options, observer))
+        log.write(hpac_deploy=LOG_VERSION, **_head(options, observer, given))
         wire = stack.enter_context(WireLog(wire_log(options.log)))
         link = stack.enter_context(HandLink(lambda: transport, hand=hand, log=wire))
         said = f"{options.policy} on {options.port}: {env_id}, {observer.steps / 20:g} s; Ctrl-C opens the hand"
@@ -158,7 +167,7 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _head(options: argparse.Namespace, observer: Observer) -> dict[str, Any]:
+def _head(options: argparse.Namespace, observer: Observer, given: dict[str, Any]) -> dict[str, Any]:
     """The first line of a log: what it takes to play it again."""
     path = policy_path(options.policy)
     return {
@@ -167,7 +176,7 @@ def _head(options: argparse.Namespace, observer: Observer) -> dict[str, Any]:
         "policy_sha256": hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else None,
         "env_id": observer.spec.id,
         "grasp": options.grasp,
-        "options": needed_options(options.policy),
+        "options": given,
         "object": options.object,
         "hand": observer.model.name,
         "port": options.port,

@@ -138,6 +138,7 @@ def run_episode(
         # It may take longer than the watchdog of an armed hand waits.
         given, memory = ask(policy, observation, None, np.array([True]))
         action = checked(given, observer)
+        target = observer.command(action)
         link.arm(watchdog=WATCHDOG)
         note("to the start posture")
         go(link, np.asarray(observer.servo))
@@ -166,7 +167,7 @@ def run_episode(
                 observation = observer.see(pose)
                 given, memory = ask(policy, observation, memory, np.array([False]))
                 action = checked(given, observer)
-            target = observer.command(action)
+                target = observer.command(action)
             servo = stream.send(target)
             observer.sent(servo)
             figures = {"step": step, "t": clock() - begun, "phase": phase}

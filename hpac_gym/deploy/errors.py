@@ -29,7 +29,7 @@ def udp(what: str, host: str, port: int, bind: bool = False) -> socket.socket:
             made.bind((host, port))
         else:
             made.connect((host, port))
-    except (OSError, OverflowError) as error:
+    except (OSError, OverflowError, TypeError) as error:
         made.close()
         reason = getattr(error, "strerror", error)
         raise DeployError(f"{what}: {reason}") from None

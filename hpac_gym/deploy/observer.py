@@ -16,7 +16,7 @@ from hpac_gym.envs import make_task
 from hpac_gym.model import HPAC, SERVOS, Hand, action_from_synergy
 from hpac_gym.model.checks import Array
 from hpac_gym.model.maps import CommandMap
-from hpac_gym.physics.engine import SceneState, matrix_from_quaternion
+from hpac_gym.physics.engine import SceneSetup, SceneState, matrix_from_quaternion
 from hpac_gym.registration import GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE
 from hpac_gym.tasks.cameras import CameraNoise
 from hpac_gym.tasks.task import CONTROL_HZ, Task
@@ -36,7 +36,9 @@ _DRAWN = 50
 _BESIDE = 0.02
 """Episodes whose objects say where a task has them, and how far beside a place is told (chosen) [m].
 """
-UPRIGHT = (-0.5, -0.5, -0.5, 0.5)
+Quaternion = tuple[float, float, float, float]
+"""Of a rotation, xyzw."""
+UPRIGHT: Quaternion = (-0.5, -0.5, -0.5, 0.5)
 """An object that stands upright, in the frame of a hand in its default orientation, xyzw."""
 
 
@@ -46,7 +48,7 @@ class Pose:
 
     position: Array
     """Its centre, shape (3,) [m]."""
-    quaternion: tuple[float, float, float, float] = UPRIGHT
+    quaternion: Quaternion = UPRIGHT
     """Rotation from the object's axes to the hand's, xyzw."""
 
 
@@ -61,7 +63,7 @@ class Observer:
         options: of the task, such as `wrist="free"`.
 
     Raises:
-        DeployError: The task needs more than a camera that sees an object.
+        DeployError: The task needs more than a camera that sees an object, or has no such option.
 
     Attributes:
         task: the task.
@@ -87,7 +89,12 @@ class Observer:
             if name not in (GRASP, GRASP_TYPE):
                 raise DeployError(f"{name} has no grasps by name, such as {grasp!r}")
             options |= {"grasp" if name == GRASP else "types": grasp}
-        self.task: Task = make_task(name, **options)
+        try:
+            self.task: Task = make_task(name, **options)
+        except TypeError as error:
+            raise DeployError(
+                f"{name} with {', '.join(options)} cannot be deployed: {error}"
+            ) from None
         self.spec = gymnasium.spec(name)
         self.model = model
         self.unwrapped = self
@@ -104,14 +111,24 @@ class Observer:
 
     def start(self) -> None:
         """Begin an episode: the hand stands in the task's start posture."""
-        self.task.start([0], [self.setup])
-        self._layout.start([0], [self.setup])
-        synergy = self.setup.synergy[None]
+        self._begin(self.setup)
+
+    def _begin(self, setup: SceneSetup) -> None:
+        self._setup = setup
+        self.task.start([0], [setup])
+        self._layout.start([0], [setup])
+        synergy = setup.synergy[None]
         self._flexing = np.ones((1, len(SERVOS)), dtype=bool)
         self.servo = self._map.servo_from_synergy(synergy, self._flexing)[0]
-        self._last_action = action_from_synergy(self.setup.synergy, self._map.bounds)[None]
-        self._wrist = self.task.wrist_path(self.setup, self._times)
+        self._last_action = action_from_synergy(setup.synergy, self._map.bounds)[None]
+        self._wrist = self.task.wrist_path(setup, self._times)
         self.step = 0
+
+    @property
+    def upright(self) -> Quaternion:
+        """Rotation of an object that stands upright, in the frame of the hand at its start, xyzw."""
+        x, y, z, w = self.setup.hand_quaternion
+        return -x, -y, -z, w
 
     def phase(self) -> str:
         """Name of the phase that is running or begins."""
@@ -161,7 +178,7 @@ class Observer:
                 state,
                 self._map.shown_servo(self.servo[None], predicted),
                 predicted,
-                -self.setup.hand_rotation[None, 2],
+                -self._setup.hand_rotation[None, 2],
                 self.task.phase(state.time),
                 self._last_action,
                 np.zeros((1, len(SERVOS))),
@@ -170,8 +187,8 @@ class Observer:
         )[0]
 
     def command(self, action: Array) -> Array:
-        """Servo angles for an action, shape (6,) [rad]. The first action of a task that places the
-        wrist also changes `setup`.
+        """Servo angles for an action, shape (6,) [rad]. After the first action of a task that places
+        the wrist, `servo` is the posture in which the hand arrives there.
 
         Raises:
             ShapeError, WorkspaceError: Another shape, NaN, or an action that leaves −1…1.
@@ -182,7 +199,7 @@ class Observer:
         self._flexing = np.where(change == 0, self._flexing, change > 0)
         target = self._map.servo_from_action(ours, self._flexing)[0]
         if self.task.wrist_actions and self.step == 0:
-            self.setup = self.task.chosen(self.setup, action)
+            self._begin(self.task.chosen(self.setup, action))
         self._last_action = ours
         return target
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from hpac_gym.command import add_json, say
 from hpac_gym.deploy.commands import object_of
@@ -125,7 +126,14 @@ def simulation(
         Commands, shape (n, 6) [rad]; where the object is, shape (n, 3) [m], both NaN after the end
         of the episode; and its outcome.
     """
-    setup = replace(observer.setup, position=np.array(steps[0]["position"]))
+    seen = Rotation.from_quat(steps[0]["quaternion"])
+    seen = Rotation.from_quat(observer.setup.hand_quaternion) * seen
+    setup = replace(
+        observer.setup,
+        position=np.array(steps[0]["position"]),
+        yaw=0.0,
+        object_quaternion=tuple(seen.as_quat().tolist()),
+    )
     commanded = np.full((len(steps), len(SERVOS)), np.nan)
     positions = np.full((len(steps), 3), np.nan)
     with make_env(observer.spec.id, engine=engine, **options) as env:

@@ -11,6 +11,7 @@ import socket
 import subprocess
 import sys
 import time
+from contextlib import nullcontext
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -24,20 +25,22 @@ from experiments import deployed
 from hpac_gym.bridge import FaultError, HandLink, HostBoard, VirtualHand, servo_from_pulses
 from hpac_gym.bridge.errors import LinkTimeout, LogWarning
 from hpac_gym.bridge.frame import Frame, encode
+from hpac_gym.deploy import replay
 from hpac_gym.deploy.arm import Arm, arm_of
 from hpac_gym.deploy.commands import object_of
 from hpac_gym.deploy.episode import Log, run_episode, wire_log
 from hpac_gym.deploy.errors import DeployError, PoseError
 from hpac_gym.deploy.observer import TASKS, UPRIGHT, Observer, Pose
 from hpac_gym.deploy.poses import Fixed, Packets, Recorded, averaged, pose_of, source_of
-from hpac_gym.deploy.replay import figure_of
+from hpac_gym.deploy.replay import figure_of, simulation
 from hpac_gym.deploy.watching import watched
 from hpac_gym.figures import save
-from hpac_gym.model import HPAC
+from hpac_gym.model import HPAC, servo_from_synergy
 from hpac_gym.output import OutputError
 from hpac_gym.policies.loading import load_policy
 from hpac_gym.registration import GRASP, GRASP_ANY, GRASP_TYPE
 from hpac_gym.tasks.cameras import CameraNoise
+from hpac_gym.tasks.grasp_type_data import GRASP_TYPES
 from tests.options import refused
 from tests.processes import wait_for
 
@@ -54,30 +57,33 @@ def told(capsys, *words, command="deploy"):
 # --- the observer
 
 
-@pytest.mark.parametrize("name", [name for name in TASKS if name != GRASP_TYPE])
-def test_an_observer_sees_what_the_environment_observes(name):
+@pytest.mark.parametrize(
+    ("name", "options"), [*((name, {}) for name in TASKS), (GRASP_ANY, {"wrist": "free"})]
+)
+def test_an_observer_sees_what_the_environment_observes(name, options):
     quiet = {"position": 0.0, "angle": 0.0, "size": 0.0}
-    env = gymnasium.make(name, engine="mujoco", noise=quiet).unwrapped
+    env = gymnasium.make(name, engine="mujoco", noise=quiet, **options).unwrapped
     rng = np.random.default_rng(0)
     for seed in range(3):
         seen, _ = env.reset(seed=seed)
         setup = env.episodes.setups[0]
-        observer = Observer(name, setup.object)
+        observer = Observer(name, setup.object, **options)
         observer.setup = setup
         observer.start()
         seen_at = env.slices.get("object_seen")  # of the camera of `GRASP_ANY` alone
+        over = False
         for _ in range(20):
             state = env.state
             turn = Rotation.from_matrix(state.object_rotation[0]).as_quat()
             mine = observer.see(Pose(state.object_pos[0], tuple(turn)))
             if seen_at is None or seen[seen_at][0] == 1.0:
                 np.testing.assert_allclose(mine, seen, atol=2e-3 if name != GRASP else 1e-6)
-            action = rng.uniform(-1, 1, 6).astype(np.float32)
+            if over:
+                break
+            action = rng.uniform(-1, 1, env.action_space.shape).astype(np.float32)
             observer.command(action)
             seen, _, over, _, _ = env.step(action)
             observer.sent(env.command.servo)
-            if over:
-                break
     env.close()
 
 
@@ -86,6 +92,25 @@ def test_an_upright_object_is_what_the_environment_shows():
         env.reset(seed=1)  # a cylinder: its yaw does not show
         up = env.unwrapped.state.object_rotation[0, :, 2]
     np.testing.assert_allclose(Rotation.from_quat(UPRIGHT).as_matrix()[:, 2], up, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_a_pose_without_a_quaternion_is_upright_for_a_hand_that_looks_down_too(name):
+    observer = Observer(name, CAN)
+    pose, _ = source_of("0.05,0,0.1", CAN, observer.upright).latest()
+    seen = observer.see(pose)
+    up, down = (seen[observer._layout.slices[part]] for part in ("object_up", "down"))
+    np.testing.assert_allclose(up, -down, atol=1e-6)
+
+
+def test_an_episode_of_an_observer_leaves_nothing_to_the_next():
+    observer = Observer(GRASP_ANY, CAN, wrist="free")
+    course = []
+    for _ in range(2):
+        observer.start()
+        observer.command(np.array([0.0] * 6 + [0.5, 0.5, 0.5, 1.0]))
+        course.append((observer.setup.yaw, observer._setup.yaw, *observer._setup.position))
+    assert course[0] == course[1]
 
 
 def test_an_observer_needs_no_engine_and_no_torch():
@@ -230,6 +255,12 @@ def test_the_first_pose_is_a_mean_and_its_absence_one_line():
     mean = averaged(Noisy(), 2.0, 0.5, pause=pause, clock=lambda: now[0])
     assert np.abs(mean.position[1:]).max() < 0.003
     np.testing.assert_allclose(np.abs(mean.quaternion), 0.5)
+    turns = [*[(0.0, 0.0, 1.0, 0.0)] * 2, *[(0.0, 0.0, 0.0, 1.0)] * 2]  # it turns round
+    seen = [(pose_of([0.05, 0.0, 0.1, *turn], "here"), 0.0) for turn in turns]
+    round_ = Fixed(PLACE)
+    round_.latest = lambda: seen.pop() if len(seen) > 1 else seen[0]
+    mean = averaged(round_, 2.0, 0.5, pause=pause, clock=lambda: now[0])
+    assert np.linalg.norm(mean.quaternion) == pytest.approx(1.0)
     packets = Packets(0)
     with pytest.raises(PoseError, match="no pose of the object within 5 s"):
         averaged(packets, 1.0, 0.5, pause=pause, clock=lambda: now[0])
@@ -393,6 +424,7 @@ def test_the_page_of_a_deployment_tells_of_a_stop_that_nobody_confirmed(monkeypa
             "HPAC-GraspAny-v1 has no grasps by name, such as 'rod'",
         ),
         ((*WORDS, "--env", GRASP_ANY, "--dry-run"), f"{GRASP}, not on {GRASP_ANY}"),
+        ((*WORDS, "--set", "obs=load", "--dry-run"), f"{GRASP} with obs cannot be deployed: "),
         ((*WORDS[:4], "0.9,0,0", "--dry-run"), "at x = 0.900 m in the hand's frame; HPAC-Grasp-v0"),
         (
             ("grasp-any-wrist", *WORDS[1:], "--port", "virtual"),
@@ -405,6 +437,7 @@ def test_the_page_of_a_deployment_tells_of_a_stop_that_nobody_confirmed(monkeypa
         ((*WORDS, "--port", "/dev/none"), "/dev/none"),
         ((*WORDS, "--port", "virtual", "--arm", "strong"), "--arm 'strong' is not none, enter or"),
         ((*WORDS, "--port", "virtual", "--arm", "udp:a:²"), "--arm 'udp:a:²' is not none"),
+        ((*WORDS, "--port", "virtual", "--arm", "udp:ä..b:9"), "the arm at ä..b:9: encoding of"),
         ((*WORDS, "--port", "virtual", "--log", "/proc/none/x"), "cannot write"),
     ],
 )
@@ -655,6 +688,39 @@ def test_an_arm_is_told_every_phase_and_says_when_it_is_ready():
     arm.close()
 
 
+def test_an_answer_of_the_arm_to_an_earlier_question_is_none():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as arm:
+        arm.bind(("127.0.0.1", 0))
+        remote = arm_of(f"udp:127.0.0.1:{arm.getsockname()[1]}")
+        waited = []
+
+        def wait(_):
+            waited.append(arm.recvfrom(4096)[1])
+            for _ in range({1: 2, 4: 1}.get(len(waited), 0)):  # twice, since it is slow
+                arm.sendto(b'{"hpac_arm": 1, "ready": true}', waited[-1])
+            time.sleep(0.01)
+
+        for _ in range(2):
+            remote.ready(wait, {"phase": "ready"})
+        remote.close()
+    assert len(waited) == 4
+
+
+def test_the_hand_is_preshaped_before_the_arm_is_asked():
+    class Arriving(Arm):
+        def ready(self, wait, told):
+            shapes.append(servo_from_pulses(hand.pulses()))
+
+    shapes = []
+    hand = VirtualHand()
+    observer = Observer(GRASP_TYPE, CAN, grasp="rod")
+    with HandLink(hand.connect) as link:
+        policy = load_policy("scripted", observer)
+        run_episode(link, observer, policy, Fixed(PLACE), Arriving(), Log(None), seconds=0.1)
+    preshape = servo_from_synergy(GRASP_TYPES["rod"].start.preshape)
+    np.testing.assert_allclose(shapes, [preshape], atol=1e-3)
+
+
 # --- through the whole wire
 
 
@@ -724,6 +790,17 @@ def test_a_log_is_played_beside_a_simulation(log, capsys):
     assert float(lines[1].split()[3]) < 0.05  # a little speed is left for early frames
     assert "the simulation: success" in lines[3]
     assert picture.stat().st_size > 10_000
+
+
+def test_the_simulation_has_the_object_turned_as_it_was_seen(monkeypatch):
+    observer = Observer(GRASP, object_of("box:0.02,0.03,0.05"))
+    turn = Rotation.from_quat(UPRIGHT) * Rotation.from_euler("z", -0.3)
+    step = {"position": PLACE.position, "quaternion": turn.as_quat(), "action": np.zeros(6)}
+    with gymnasium.make(GRASP, engine="mujoco") as env:
+        monkeypatch.setattr(replay, "make_env", lambda *_, **__: nullcontext(env))
+        simulation(observer, {}, [step], "mujoco")
+        found = env.unwrapped.state.object_rotation[0]
+    np.testing.assert_allclose(found, turn.as_matrix(), atol=0.02)
 
 
 def test_what_a_policy_needed_of_its_environment_is_played_too(tmp_path, capsys, monkeypatch):
