@@ -6,7 +6,6 @@ Model files come from ``hpac_gym/body/data`` and the hand's parameters, the proc
 protocol and the hand's parameters, the tables of ``docs/environments`` and ``docs/grasps.md`` from
 the tasks, those of ``docs/benchmark.md`` from ``docs/results``."""
 
-import argparse
 import re
 import sys
 from pathlib import Path
@@ -16,6 +15,7 @@ import numpy as np
 from hpac_gym.body.geometry import load_geometry
 from hpac_gym.body.object_models import load_object_models
 from hpac_gym.body.urdf import HAND_ON_WRIST_URDF, HAND_URDF, hand_urdf, object_urdf
+from hpac_gym.command import command_parser, run
 from hpac_gym.model import load_hand
 from hpac_gym.physics.mjcf import FILES, hand_mjcf
 from hpac_gym.physics.settings import BODIES
@@ -71,9 +71,7 @@ def is_stale(path: Path, text: str) -> bool:
 
 def main(argv: list[str] | None = None) -> int:
     """Write or check the files; the exit status is 1 if ``--check`` finds one out of date."""
-    parser = argparse.ArgumentParser(
-        prog="python -m tools.generate", description="Write every generated file."
-    )
+    parser = command_parser("tools.generate", __doc__)
     parser.add_argument("--check", action="store_true", help="compare, write nothing")
     parser.add_argument(
         "--hand", metavar="FILE", help="only the firmware's files, for the hand of this file (TOML)"
@@ -93,4 +91,4 @@ def main(argv: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run(main))

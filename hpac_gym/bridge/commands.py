@@ -1,4 +1,4 @@
-"""The bridge's commands of `hpac`: clear, conform, doctor, estop, safety, wiggle; and the sender of
+"""The bridge's commands of `hpac`: clear, conform, doctor, wiggle; and the sender of
 `hpac posture`.
 """
 

@@ -1,5 +1,8 @@
 """Every generated file is committed as its generator writes it."""
 
+import subprocess
+import sys
+
 import pytest
 
 from hpac_gym.body.geometry import load_geometry
@@ -26,6 +29,13 @@ def test_a_stale_file_is_named_by_check_and_written_without_it(tmp_path, monkeyp
     assert not path.exists()
     assert generate.main([]) == 0
     assert generate.main(["--check"]) == 0
+
+
+def test_a_wrong_hand_is_one_line_and_status_2():
+    words = [sys.executable, "-m", "tools.generate", "--hand", "/no/such/hand.toml"]
+    done = subprocess.run(words, cwd=generate.ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr == "error: hand file /no/such/hand.toml: No such file or directory\n"
 
 
 @pytest.mark.parametrize(
