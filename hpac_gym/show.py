@@ -60,7 +60,7 @@ def run(options: argparse.Namespace) -> int:
     count = options.episodes or (3 if options.record else None)
     mode = "rgb_array" if options.record else "human"
     with ExitStack() as stack:
-        given = needed_options(policy) | env_options(options, env_id)
+        given = needed_options(policy, env_id) | env_options(options, env_id)
         env = stack.enter_context(make_env(env_id, render_mode=mode, **given))
         actor = load_policy(policy, env, options.normalize)
         film = stack.enter_context(_film(options.record)) if options.record else None

@@ -158,6 +158,10 @@ def test_the_version_is_that_of_the_package():
         (["evaluate", "--policy", "scripted", "--object", "cylinder:nan,0.1"], "cylinder:radius"),
         (["evaluate", "--policy", "/"], "'/' is not an exported policy: card.json: No such file"),
         (["evaluate", "--policy", "grasp", "--obs", "image"], "deploy (44,), image (84, 84, 3)"),
+        (
+            ["evaluate", "--policy", "gentle", "--env", "HPAC-Grasp-v0"],
+            "was trained on hpac_gym:HPAC-Gentle-v0, not on HPAC-Grasp-v0",
+        ),
         (["evaluate", "--policy", "os:getcwd"], "getcwd does not take the environment"),
         (["evaluate", "--policy", f"{__name__}:forgetful"], "(observation, state, episode_start)"),
         (["deploy", f"{__name__}:wordless", *POSED, "--dry-run"], "(action, state), not ndarray"),

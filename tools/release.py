@@ -76,7 +76,12 @@ def build(root: Path) -> None:
     """Write the sdist and the wheel into ``dist``."""
     for old in (root / "dist").glob("hpac_gym-*"):
         old.unlink()
-    called(sys.executable, "-m", "hatchling", "build", "-t", "sdist", "-t", "wheel", cwd=root)
+    waiting = (root / "CHANGELOG.md").read_text(encoding="utf-8")
+    date_changelog(root)  # as its tag will have it
+    try:
+        called(sys.executable, "-m", "hatchling", "build", "-t", "sdist", "-t", "wheel", cwd=root)
+    finally:
+        (root / "CHANGELOG.md").write_text(waiting, encoding="utf-8")
 
 
 def clean_environment(root: Path) -> None:
@@ -93,11 +98,17 @@ def clean_environment(root: Path) -> None:
                 raise ReleaseError(f"the installed wheel says version {said}, not {__version__}")
 
 
-def tag(root: Path) -> None:
-    """Date the changelog, commit it, and tag the commit."""
+def date_changelog(root: Path) -> Path:
+    """Write today's date into the heading of this version; returns the changelog."""
     path = root / "CHANGELOG.md"
     text = path.read_text(encoding="utf-8")
     path.write_text(text.replace(heading(), heading(f"{date.today()}"), 1), encoding="utf-8")
+    return path
+
+
+def tag(root: Path) -> None:
+    """Date the changelog, commit it, and tag the commit."""
+    path = date_changelog(root)
     called("git", "commit", "--quiet", "-m", f"Release {__version__}", path, cwd=root)
     called("git", "tag", "-a", f"v{__version__}", "-m", f"hpac_gym {__version__}", cwd=root)
 

@@ -116,7 +116,7 @@ def run(options: argparse.Namespace) -> int:
     env_id = options.env or about(options.policy).get("env_id") or "HPAC-Grasp-v0"
     hand = load_hand(options.model) if options.model else HPAC
     thing = object_of(options.object)
-    given = environment.with_set(needed_options(options.policy), options.set)
+    given = environment.with_set(needed_options(options.policy, env_id), options.set)
     observer = Observer(env_id, thing, hand, options.grasp, **given)
     policy = load_policy(options.policy, observer, options.normalize)
     with ExitStack() as stack:

@@ -49,10 +49,11 @@ def restore_episode(episodes: Any, snapshot: Any) -> None:
         raise EpisodeError(
             "a state can be restored only in the episode that it was saved in, not after another reset()"
         )
+    episodes.now = None  # until the end, so that nothing goes on from an interrupted call
     episodes.setups[0] = setup  # the wrist may have been placed since then
-    episodes.now = now
     episodes.simulation.engine.restore(0, physics)
     restore(episodes, values)
+    episodes.now = now
 
 
 def undeclared(owner: Any, act: Callable[[], object]) -> list[str]:

@@ -88,7 +88,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _record(args: argparse.Namespace) -> int:
     env_id = args.env or env_id_of(args.policy)
-    options = needed_options(args.policy) | env_options(args, env_id)
+    options = needed_options(args.policy, env_id) | env_options(args, env_id)
     what = {"seed_start": args.seed_start, "options": options, "normalize": args.normalize}
     if args.format == "minari":
         told = _told(record(args.policy, env_id, args.episodes, args.out, **what))

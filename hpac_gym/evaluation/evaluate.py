@@ -291,7 +291,7 @@ def run(args: argparse.Namespace) -> int:
         seed_start=args.seed_start,
         workers=args.workers,
         time_limit=60 * args.time_limit,
-        options=needed_options(made) | env_options(args, env_id),
+        options=needed_options(made, env_id) | env_options(args, env_id),
         normalize=args.normalize,
     )
     summary = judged.summary()

@@ -138,7 +138,7 @@ def run(args: argparse.Namespace) -> int:
     hand = load_hand(args.file)
     hands = read_draws(args.file, hand)
     env_id = args.env or env_id_of(args.policy)
-    given = needed_options(args.policy) | env_options(args, env_id)
+    given = needed_options(args.policy, env_id) | env_options(args, env_id)
     model = HPAC if args.commands == NOMINAL else load_hand(args.commands or args.file)
     expected = forecast(
         hands[: args.count],

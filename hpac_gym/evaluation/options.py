@@ -18,7 +18,11 @@ from hpac_gym.registration import GRASP_TYPE
 MASS = 0.1
 FRICTION = 0.8
 """Of an object that is given by its shape (chosen) [kg, 1]."""
-SHAPES = {"cylinder": ("radius", "half height"), "sphere": ("radius",), "box": ("x", "y", "z")}
+SHAPES = {
+    "cylinder": ("radius", "half height"),
+    "sphere": ("radius",),
+    "box": ("half x", "half y", "half z"),
+}
 OPTIONS = {
     "engine": "mujoco or pybullet",
     "body": "twin or light",

@@ -11,7 +11,7 @@ from typing import Any
 
 from hpac_gym.command import add_json, say
 from hpac_gym.errors import PolicyError
-from hpac_gym.output import markdown, replacing
+from hpac_gym.output import markdown, read_text, replacing
 from hpac_gym.policies.onnx_model import CARD, ENTRY, MODEL, onnx_model
 from hpac_gym.policies.policy_file import PolicyFile, read_policy
 
@@ -203,7 +203,7 @@ def page(told: dict[str, Any], film: bool) -> str:
 
 def _evaluation(path: Path, sha256: str) -> dict[str, Any]:
     try:
-        judged: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        judged: dict[str, Any] = json.loads(read_text(path, "evaluation", PolicyError))
         if "files" in judged:
             raise PolicyError(
                 f"'{path}' compares {len(judged['files'])} policies: evaluate this one alone"
@@ -213,8 +213,9 @@ def _evaluation(path: Path, sha256: str) -> dict[str, Any]:
         weights = str(of["sha256"] if "sha256" in of else of["weights_sha256"])  # of a card
     except PolicyError:
         raise
-    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
-        raise PolicyError(f"'{path}' is not a result of hpac evaluate: {error!r}") from None
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        reason = f"no {error}" if isinstance(error, KeyError) else error
+        raise PolicyError(f"'{path}' is not a result of hpac evaluate: {reason}") from None
     if weights != sha256:
         raise PolicyError(
             f"'{path}' evaluates other weights, {weights[:12]}…, than those of the policy, {sha256[:12]}…"

@@ -9,7 +9,7 @@ import gymnasium
 
 from hpac_gym.errors import PolicyError
 from hpac_gym.policies.baselines import BASELINES
-from hpac_gym.policies.made_for import options_of, require_fit
+from hpac_gym.policies.made_for import options_of, require_fit, same_id
 from hpac_gym.policies.onnx_model import read_card, read_onnx
 from hpac_gym.policies.policy import LearnedPolicy, Policy
 from hpac_gym.policies.policy_file import SHIPPED, SUFFIX, policy_path, read_policy
@@ -94,13 +94,15 @@ def about(name: str, normalize: str | None = None) -> dict[str, Any]:
     return read_card(path) if path.is_dir() else read_policy(name).about
 
 
-def needed_options(name: str) -> dict[str, Any]:
-    """`options_of` a policy's description.
+def needed_options(name: str, env_id: str | None = None) -> dict[str, Any]:
+    """`options_of` a policy's description; none for another environment, which `load_policy` refuses.
 
     Raises:
         PolicyError: The file is damaged.
     """
-    return options_of(about(name))
+    told = about(name)
+    made = told.get("env_id", env_id)
+    return options_of(told) if env_id is None or same_id(made, env_id) else {}
 
 
 def shipped_for(env_id: str) -> str:

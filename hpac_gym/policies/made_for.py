@@ -72,6 +72,11 @@ def id_of(env: gymnasium.Env[Any, Any]) -> str:
     return env.spec.id if env.spec else type(env.unwrapped).__name__
 
 
+def same_id(one: str, other: str) -> bool:
+    """Whether two ids name one environment, with or without the module that registers it."""
+    return one.rpartition(":")[2] == other.rpartition(":")[2]
+
+
 def options_of(told: Mapping[str, Any]) -> dict[str, Any]:
     """Options of the environment without which a policy cannot act in it, of its description or its
     card: a free wrist for one that shifts it, and the observation of one that sees more than
@@ -100,7 +105,7 @@ def require_fit(
     """
     here = id_of(env)
     made = told.get("made_for", {})
-    if told["env_id"].rpartition(":")[2] != here.rpartition(":")[2]:
+    if not same_id(told["env_id"], here):
         raise PolicyError(f"{what} was trained on {told['env_id']}, not on {here}")
     try:
         hand_sha256 = made.get("hand_sha256")

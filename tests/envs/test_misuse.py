@@ -173,6 +173,9 @@ def test_after_an_interrupted_step_only_a_reset_or_a_saved_state_goes_on(monkeyp
     interrupted(monkeypatch, advance, lambda: env.step(still))
     with pytest.raises(EpisodeError, match="reset"):
         env.step(still)
+    interrupted(monkeypatch, "envs.snapshots.restore", lambda: env.restore_state(state))
+    with pytest.raises(EpisodeError, match="reset"):
+        env.step(still)
     env.restore_state(state)
     assert data_equivalence(env.step(still), expected, exact=True)
     interrupted(monkeypatch, "envs.wrists.Wrists.start", lambda: env.reset(seed=0))

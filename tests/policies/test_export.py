@@ -295,7 +295,11 @@ def test_the_bundle_has_the_evaluation_and_a_film_in_the_hub_s_layout(policy, tm
             "{trained} --evaluation {folder}/results.json",
             "evaluates other weights, 12ab…, than those of the policy, ",
         ),
-        ("{trained} --evaluation {trained}", "is not a result of hpac evaluate"),
+        ("{trained} --evaluation {trained}", "grasp.hpac: not UTF-8 text"),
+        (
+            "{trained} --evaluation {folder}/other.json",
+            "is not a result of hpac evaluate: no 'policies'",
+        ),
         (
             "{trained} --evaluation {folder}/several.json",
             "several.json' compares 2 policies: evaluate this one alone",
@@ -319,6 +323,7 @@ def test_what_does_not_belong_to_the_policy_is_refused_before_anything_is_writte
     }
     (tmp_path / "results.json").write_text(json.dumps(results))
     (tmp_path / "several.json").write_text(json.dumps(results | {"files": [{}, {}]}))
+    (tmp_path / "other.json").write_text("{}")
     sha256 = read_policy(SHIPPED["grasp"]).about["sha256"]
     (tmp_path / "bent.json").write_text(json.dumps(results | {"policy": {"sha256": sha256}}))
     assert (

@@ -54,6 +54,20 @@ def test_what_fails_leaves_no_tag_and_no_commit(checkout, place):
     assert git(checkout, "rev-list", "--count", "HEAD") == "1\n"
 
 
+def test_what_is_built_has_the_date_that_the_tag_gets(checkout, monkeypatch):
+    text = []
+
+    def look(*words, cwd):
+        text.append((cwd / "CHANGELOG.md").read_text())
+        raise ReleaseError("no hatchling")
+
+    monkeypatch.setattr(release, "called", look)
+    with pytest.raises(ReleaseError, match="no hatchling"):
+        release.build(checkout)
+    assert f"## [{__version__}] - 20" in text[0]
+    assert git(checkout, "status", "--porcelain") == ""
+
+
 def test_changes_and_a_missing_section_are_refused(checkout):
     (checkout / "CHANGELOG.md").write_text("# Changelog\n")
     with pytest.raises(ReleaseError, match=r"the working tree has changes: ' M CHANGELOG\.md'"):
