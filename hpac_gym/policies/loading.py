@@ -101,7 +101,7 @@ def needed_options(name: str, env_id: str | None = None) -> dict[str, Any]:
         PolicyError: The file is damaged.
     """
     told = about(name)
-    made = told.get("env_id", env_id)
+    made = told.get("env_id", "")
     return options_of(told) if env_id is None or same_id(made, env_id) else {}
 
 
