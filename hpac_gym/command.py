@@ -132,7 +132,7 @@ def run(command: Callable[[], int], unheard: bool = False) -> int:
 @contextmanager
 def stopped_later() -> Iterator[None]:
     """Let Ctrl-C and SIGTERM wait for the end of the block: an import of trimesh catches every
-    exception, so that a program stopped in it would go on.
+    exception, so that a program stopped in it would go on, and MuJoCo's makes an ImportError of it.
     """
     if threading.current_thread() is not threading.main_thread():
         yield

@@ -188,9 +188,8 @@ class Episodes:
             failed = [world for world in error.worlds if self.outcome[world] == RUNNING]
         state = self.simulation.state()
         self.task.watch(state, self.dt, self.simulation.engine.contacts)
-        self.outcome = np.array(
-            self.task.judge(state, self.dt), int
-        )  # a copy: `reset` writes to it
+        judged = self.task.judge(state, self.dt)
+        self.outcome = np.array(judged, int)  # a copy: `reset` writes to it
         if failed:
             self.outcome[failed] = FAILURE
         self._look(state, self.commands.record(actions), range(len(self.setups)), phase)

@@ -2,6 +2,7 @@
 
 from importlib import import_module
 from inspect import signature
+from pathlib import Path
 from typing import Any
 from zipfile import is_zipfile
 
@@ -45,7 +46,7 @@ def load_policy(name: str, env: gymnasium.Env[Any, Any], normalize: str | None =
     path = policy_path(name)
     if path.is_dir():
         return read_onnx(path, env)
-    if path.suffix != SUFFIX and is_zipfile(path):  # a model, whose pickles are executed
+    if _is_model(path):
         return read_model(path, env, normalize)
     if path.exists():
         file = read_policy(name)
@@ -79,6 +80,13 @@ def takes(function: Any, count: int) -> bool:
     return True
 
 
+def _is_model(path: Path) -> bool:
+    """Whether a file is a model of Stable-Baselines3, whose pickles are executed; none that calls
+    itself a policy file is.
+    """
+    return path.suffix != SUFFIX and is_zipfile(path)
+
+
 def about(name: str, normalize: str | None = None) -> dict[str, Any]:
     """Description of a policy file, or the card of an exported policy, both with `env_id`; what
     identifies a model of Stable-Baselines3. Empty for policies without a file.
@@ -89,7 +97,7 @@ def about(name: str, normalize: str | None = None) -> dict[str, Any]:
     path = policy_path(name)
     if name in BASELINES or not path.exists():
         return {}
-    if path.suffix != SUFFIX and is_zipfile(path):
+    if _is_model(path):
         return about_model(path, normalize)
     return read_card(path) if path.is_dir() else read_policy(name).about
 
@@ -101,8 +109,8 @@ def needed_options(name: str, env_id: str | None = None) -> dict[str, Any]:
         PolicyError: The file is damaged.
     """
     told = about(name)
-    made = told.get("env_id", "")
-    return options_of(told) if env_id is None or same_id(made, env_id) else {}
+    fits = env_id is None or same_id(told.get("env_id", ""), env_id)
+    return options_of(told) if fits else {}
 
 
 def shipped_for(env_id: str) -> str:

@@ -86,6 +86,8 @@ class MuJoCoEngine(Engine):
             started.setdefault(self._groups[layout], []).append(world)
         for group, entries in started.items():
             group.start(entries, [self._setups[world] for world in entries])
+        self._force_steps = self._force_steps.copy()  # an earlier state has this array
+        self._force_steps[list(worlds)] = 0.0
         self._rows = {}
         for group in dict.fromkeys(filter(None, self._group_of)):
             rows = np.flatnonzero([owner is group for owner in self._group_of])
@@ -119,15 +121,14 @@ class MuJoCoEngine(Engine):
 
     def state(self) -> SceneState:
         time = self._steps * self.dt
-        forces = self._force_steps * (time > 0)[:, None]  # none in a new episode
         parts = [
-            (rows, group.state(rows, time[rows], forces[rows]))
+            (rows, group.state(rows, time[rows], self._force_steps[rows]))
             for group, rows in self._rows.items()
         ]
         if len(parts) == 1 and isinstance(parts[0][0], slice):
             return parts[0][1]
         state = SceneState.empty(self.num_worlds)
-        state.force_steps = np.zeros_like(forces)
+        state.force_steps = np.zeros_like(self._force_steps)
         for rows, part in parts:
             for entry in fields(SceneState):
                 getattr(state, entry.name)[rows] = getattr(part, entry.name)

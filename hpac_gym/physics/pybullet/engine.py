@@ -68,6 +68,8 @@ class PyBulletEngine(Engine):
     def reset(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
         for world, setup in zip(worlds, setups, strict=True):
             self.scenes[world].reset(setup)
+        self._force_steps = self._force_steps.copy()  # an earlier state has this array
+        self._force_steps[list(worlds)] = 0.0
 
     def advance(
         self, servo: Array, servo_vel: Array, wrist: Array, push: Array | None = None
@@ -87,8 +89,7 @@ class PyBulletEngine(Engine):
             PhysicsError: A world's joint angles are not finite.
         """
         found = SceneState.empty(self.num_worlds)
-        # None in a new episode.
-        found.force_steps = self._force_steps * [[scene.time > 0] for scene in self.scenes]
+        found.force_steps = self._force_steps
         for world, scene in enumerate(self.scenes):
             if scene.setup is not None:
                 self._read(found, world, scene)
