@@ -2,7 +2,6 @@
 what happened.
 """
 
-import argparse
 import json
 import os
 import re
@@ -19,7 +18,6 @@ import hpac_gym
 from hpac import COMMANDS, GROUPS, main
 from hpac_gym.command import USAGE_ERROR, run
 from hpac_gym.errors import EXTRA_OF, WorkspaceError
-from tests.options import refused
 
 POSED = ["--object", "cylinder:0.02,0.05", "--pose", "0.05,0.005,0.11"]
 NAMES = [command.name for command in COMMANDS]
@@ -131,71 +129,12 @@ def test_the_version_is_that_of_the_package():
     assert metadata.version("hpac_gym") == hpac_gym.__version__
 
 
-@pytest.mark.parametrize(
-    ("words", "named"),
-    [
-        (["nonsense"], "error: no command 'nonsense' (see hpac --help)"),
-        (["shwo"], "error: no command 'shwo', did you mean 'show'? (see hpac --help)"),
-        (["--polcy"], "(see hpac --help)"),
-        (
-            ["evaluate", "--policy", "grasp", "--polcy", "grasp"],
-            "error: unrecognized arguments: --polcy (see hpac evaluate --help)",
-        ),
-        (
-            ["evaluate", "--polcy=grasp", "--episode", "3"],
-            "error: unrecognized arguments: --polcy=grasp (see hpac evaluate --help)",
-        ),
-        (["posture", "list", "fist"], "error: unrecognized arguments: fist (see hpac posture"),
-        (["wiggle", "--port", "/dev/no-such-port"], "/dev/no-such-port"),
-        (["posture", "nonsense"], "nonsense"),
-        (["posture", "fist", "--out", "/tmp/fist.doc"], "written as .png, not as '/tmp/fist.doc'"),
-        (["posture", "all", "--port", "virtual"], "--port takes one posture, not 'all'"),
-        (["posture", "list", "--model", "/no/such/hand.toml"], "/no/such/hand.toml"),
-        (["calibrate", "/no/such/sweep.csv"], "sweep.csv"),
-        (["grasps", "-n", "0"], "'0' is not a whole number of at least 1"),
-        (["record", "--seed", "-1"], "'-1' is not a whole number of at least 0"),
-        (["evaluate", "--policy", "scripted", "--object", "cylinder:20,50"], "0.001 to 0.2 m"),
-        (["evaluate", "--policy", "scripted", "--object", "cylinder:nan,0.1"], "cylinder:radius"),
-        (["evaluate", "--policy", "/"], "'/' is not an exported policy: card.json: No such file"),
-        (["evaluate", "--policy", "grasp", "--obs", "image"], "deploy (44,), image (84, 84, 3)"),
-        (
-            ["evaluate", "--policy", "gentle", "--env", "HPAC-Grasp-v0"],
-            "was trained on hpac_gym:HPAC-Gentle-v0, not on HPAC-Grasp-v0",
-        ),
-        (["evaluate", "--policy", "os:getcwd"], "getcwd does not take the environment"),
-        (["evaluate", "--policy", f"{__name__}:forgetful"], "(observation, state, episode_start)"),
-        (["deploy", f"{__name__}:wordless", *POSED, "--dry-run"], "(action, state), not ndarray"),
-        (["deploy", f"{__name__}:short", *POSED, "--dry-run"], "must be 6 numbers"),
-        (["deploy", "grasp", "--hold", "-1"], "'-1' is not a number of seconds"),
-        (["deploy", "grasp", "--oldest", "nan"], "'nan' is not a number of seconds"),
-    ],
-)
-def test_a_mistake_is_one_line_and_status_2(words, named, capsys):
-    """In this process, which has loaded the packages already."""
-    assert named in refused(capsys, lambda: main(words))
-
-
 def test_a_help_tells_no_empty_default_and_none_in_the_form_of_python(capsys):
     for name in NAMES:
         with pytest.raises(SystemExit):
             main([name, "--help"])
         said = capsys.readouterr().out
         assert not re.search(r"\(default: *[)\[]", said), name
-
-
-def forgetful(env):
-    """A policy whose `predict` takes too little."""
-    return argparse.Namespace(predict=lambda observation, state=None: (observation[:6], state))
-
-
-def wordless(env):
-    """A policy that returns no state."""
-    return argparse.Namespace(predict=lambda observation, state, begins: observation[:6])
-
-
-def short(env):
-    """A policy with too few actions."""
-    return argparse.Namespace(predict=lambda observation, state, begins: (observation[:3], state))
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -384,6 +323,7 @@ def test_without_its_packages_a_command_says_what_it_needs():
     needs = {
         "sweep --record x.csv": study,
         "calibrate x.csv": study,
+        "posture all": study,
         "grasps -n 1": grasps,
     }
     done = python(WITHOUT_PACKAGES, *needs)

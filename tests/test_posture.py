@@ -10,14 +10,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import hpac
 from experiments.quasistatic import Built, Metal, hand_course
 from hpac_gym import posture as posture_command
 from hpac_gym.body.geometry import link_poses, load_geometry
 from hpac_gym.bridge import commands
 from hpac_gym.model import HPAC, JOINT_INDEX, POSTURES, joints_from_synergy, posture, reach
 from hpac_gym.model.calibration import Calibration, Friction
-from tests.options import called, refused
+from tests.options import called
 
 GEOMETRY = load_geometry()
 
@@ -140,24 +139,6 @@ def test_a_posture_is_drawn(tmp_path, capsys):
     )
     assert np.abs(open_hand - closed).max() > 50
     assert "drawn to" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(
-    ("words", "says"),
-    [
-        (["--out", "film.gif"], "a picture is written as .png, not as 'film.gif'"),
-        (["--out", "/proc/none/all.png"], "cannot write to folder '/proc/none'"),
-        ([], "this command needs more: pip install"),
-    ],
-)
-def test_a_sheet_that_cannot_be_drawn_is_refused_before_anything_is_printed(
-    words, says, capsys, tmp_path, monkeypatch
-):
-    monkeypatch.chdir(tmp_path)
-    if not words:
-        monkeypatch.setitem(sys.modules, "matplotlib", None)
-    assert says in refused(capsys, lambda: hpac.main(["posture", "all", *words]))
-    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.slow

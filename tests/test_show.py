@@ -9,7 +9,6 @@ from typing import ClassVar
 
 import gymnasium
 import numpy as np
-import pytest
 from gymnasium.envs.registration import EnvSpec
 
 import hpac
@@ -108,18 +107,3 @@ def test_a_film_without_its_encoder_names_the_extra(tmp_path, capsys, monkeypatc
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     said = refused(capsys, lambda: hpac.main(["show", "--record", str(tmp_path / "film.mp4")]))
     assert said.startswith("error: this command needs more: pip install '.[video]'")
-
-
-@pytest.mark.parametrize(
-    ("words", "says"),
-    [
-        (["--record", "film.doc"], "--record 'film.doc' must end in .gif or .mp4"),
-        (["--policy", "none.hpac"], "no policy file 'none.hpac'"),
-        (["--grasp", "none"], "no grasp 'none'"),
-        (["--env", "CartPole-v1"], "environment 'CartPole-v1' acts in Discrete(2): policies need"),
-        (["--record", "/proc/none/film.gif"], "/proc/none"),
-    ],
-)
-def test_wrong_words_are_one_line(words, says, capsys, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert says in refused(capsys, lambda: hpac.main(["show", "--episodes", "1", *words]))

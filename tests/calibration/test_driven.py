@@ -579,23 +579,6 @@ def test_a_wrong_strip_is_not_recorded_and_told(wired, camera, tmp_path, capsys)
     assert not wired.hand.pulses().any()
 
 
-def test_a_sweep_without_eyes_is_refused_before_anything_moves(tmp_path, capsys):
-    assert hpac.main([*WORDS, "--out", str(tmp_path)]) == 2
-    assert "--port needs what measures the joints: --camera or --angles" in capsys.readouterr().err
-    with pytest.raises(SystemExit):
-        hpac.main(["sweep", "--port", "any", "--record", "x.csv"])
-    with pytest.raises(SystemExit):  # as a record with two points would be, after the sweep
-        hpac.main([*WORDS, "--angles", "x.csv", "--points", "2"])
-    assert "'2' is not a whole number of at least 3" in capsys.readouterr().err
-    for words in (["--servo", "index_mcp"], ["--trial", "0"]):
-        assert hpac.main(["sweep", "--record", "x.csv", *words]) == 2
-        assert "--points and --trial are of --port, not of --record" in capsys.readouterr().err
-    (tmp_path / "sweep.csv").write_text("nonsense\n")
-    words = [*WORDS, "--angles", "x.csv", "--out", str(tmp_path)]
-    assert hpac.main(words) == 2
-    assert "row 1 must be '# hpac sweep, format 1'" in capsys.readouterr().err
-
-
 def test_every_servo_has_its_side_and_its_strip():
     assert set(driven.SIDES) == set(SERVOS)
     for servo in SERVOS:

@@ -18,7 +18,6 @@ from agents.trials import SHORT
 from hpac_gym.envs import GraspAny
 from hpac_gym.envs.episodes import Episodes
 from hpac_gym.envs.options import checked_options
-from hpac_gym.errors import EnvError
 from hpac_gym.evaluation import benchmark, results as results_file, splits
 from hpac_gym.evaluation.evaluate import evaluate
 from hpac_gym.evaluation.results import comparison, faults, table
@@ -317,39 +316,6 @@ def test_the_hash_changes_with_the_objects_and_the_files_of_calibrated_hands(tmp
         assert env_hash.__wrapped__(GRASP_ANY, alone) == before[1]
     monkeypatch.setattr(splits, "object_set", lambda split: ())
     assert env_hash.__wrapped__(GRASP_ANY, alone) != before[1]
-
-
-@pytest.mark.parametrize(
-    ("words", "told"),
-    [
-        (
-            ["HPAC-Posture-v0", "--policy", "random", "--out", "x"],
-            "'HPAC-Posture-v0' has no benchmark: known are HPAC-Grasp-v0",
-        ),
-        (
-            [TINY, "--policy", "random", "--budget", "1e5", "--out", "x"],
-            "contains no {seed}: a trained method needs 5 runs",
-        ),
-        ([TINY, "--policy", "random"], "--out must be given, or --check alone"),
-        (["--check", "no/such.json"], "cannot read results file 'no/such.json'"),
-        (["--check", "{deep}"], "deep.json' is not a results file: it contains no JSON"),
-        (["--check", __file__], "test_benchmark.py' is not a results file: it contains no JSON"),
-        ([TINY, "--policy", "no/such.hpac", "--out", "x"], "no policy file 'no/such.hpac'"),
-        (
-            [TINY, "--policy", "no.such:thing", "--out", "x"],
-            "no policy 'no.such:thing': No module named 'no'",
-        ),
-        (
-            [TINY, "--policy", "hpac_gym.policies.baselines:Nobody", "--out", "x"],
-            "has no attribute 'Nobody'",
-        ),
-    ],
-)
-def test_a_mistake_is_one_line(words, told, tmp_path):
-    (tmp_path / "deep.json").write_text("[" * 100_000)
-    words = [word.replace("{deep}", str(tmp_path / "deep.json")) for word in words]
-    with pytest.raises((ResultsError, EnvError, PolicyError), match=told.replace("{", r"\{")):
-        main(words)
 
 
 @pytest.mark.parametrize("path", sorted(RESULTS.glob("*.json")), ids=lambda path: path.stem)

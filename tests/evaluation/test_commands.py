@@ -1,7 +1,6 @@
 """`hpac grasps`: numbers, table, pictures, mistakes."""
 
 import json
-from pathlib import Path
 
 import pytest
 from PIL import Image
@@ -11,7 +10,6 @@ from hpac_gym.envs import GRASPS
 from hpac_gym.evaluation.pictures import TITLE
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.policies.policy_file import SHIPPED
-from tests.options import refused
 
 TRAINED = SHIPPED["grasp"]
 
@@ -75,36 +73,3 @@ def test_it_runs_all_sixteen(tmp_path, capsys):
     )
     assert len(capsys.readouterr().out.splitlines()) == 2 + 16
     assert {path.stem for path in tmp_path.glob("*.png")} == {*GRASPS, "contact_sheet"}
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory) -> Path:
-    folder = tmp_path_factory.mktemp("mistakes")
-    (folder / "file").write_text("no policy")
-    (folder / "cut.hpac").write_bytes(TRAINED.read_bytes()[:1000])
-    return folder
-
-
-@pytest.mark.parametrize(
-    ("words", "complaint"),
-    [
-        ("--policy best", "no policy file 'best', and not one of random, scripted, gentle"),
-        ("--policy {folder}/file", "is not a policy file (.hpac)"),
-        ("--policy {folder}/cut.hpac", "is damaged"),
-        ("--policy {folder}", "is not an exported policy"),
-        ("--policy ./mine.py:load", "no policy './mine.py:load': "),
-        ("--grasps rods", "no grasp 'rods'; there are 16, among them rod"),
-        ("--grasps rod --variant huge", "has no variant 'huge'"),
-        ("--episodes 0", "'0' is not a whole number of at least 1 (see hpac grasps --help)"),
-        ("--workers some", "'some' is not a whole number of at least 1"),
-        ("--out {folder}/file/results", "cannot write to folder"),
-        ("--out /proc/results", "cannot write to folder '/proc/results'"),
-        ("--nonsense", "unrecognized arguments: --nonsense"),
-    ],
-)
-def test_a_mistake_ends_in_one_line_and_status_2_before_anything_runs(
-    folder, tmp_path, words, complaint, capsys, monkeypatch
-):
-    monkeypatch.chdir(tmp_path)
-    words = words.format(folder=folder).split()
-    assert complaint in refused(capsys, lambda: main(["grasps", *words]))

@@ -14,7 +14,6 @@ import pytest
 
 from agents import reproduce
 from agents.curves import draw_trials
-from hpac_gym.errors import EnvError
 from hpac_gym.evaluation import evaluate as command
 from hpac_gym.evaluation.environment import make_env
 from hpac_gym.evaluation.episodes import run_episodes, single
@@ -227,11 +226,6 @@ def test_the_environment_and_its_options_are_those_of_the_first_policy_that_has_
     assert list(printed["policies"]) == ["scripted", "learned"]
 
 
-def test_the_options_of_an_environment_are_passed_on_and_one_that_it_lacks_is_told():
-    with pytest.raises(EnvError, match="with objects, types: Tiny"):
-        main(["--policy", "random", "--env", TINY, "--objects", "real", "--types", "hook"])
-
-
 def test_the_workers_of_a_killed_evaluation_end(tmp_path):
     words = ["--policy", "random", "--env", TINY, "--episodes", "100000", "--workers", "2"]
     command = subprocess.Popen(
@@ -333,12 +327,6 @@ def test_the_table_of_seeds_has_a_row_for_every_run_and_sums_them_up(capsys, tmp
     draw_trials(tmp_path / "other.png", cells[:2])
     drawn = [(tmp_path / f"{name}.png").read_bytes() for name in ("picture", "again", "other")]
     assert drawn[0] == drawn[1] != drawn[2]
-
-
-def test_a_picture_of_trials_needs_runs(capsys):
-    with pytest.raises(SystemExit):
-        reproduce.main(["elsewhere", "--policy", "scripted", "--picture", "picture.png"])
-    assert "--picture needs race or seeds" in capsys.readouterr().err
 
 
 def test_several_runs_are_summed_up_by_median_lowest_and_interquartile_mean():

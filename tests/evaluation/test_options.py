@@ -98,16 +98,6 @@ def test_every_command_that_makes_an_environment_has_them_all(command, capsys):
     assert "train, wide, test or real" in told.replace("\n", " ")
 
 
-def test_an_option_that_the_environment_refuses_ends_in_one_line(capsys):
-    words = ["evaluate", "--policy", "random", "--env", GRASP, "--episodes", "1", "--workers", "1"]
-    assert hpac.main([*words, "--engine", "mujoco", "--set", "config.weights.effrt=1"]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert "config weights has no field 'effrt'" in line
-    assert hpac.main([*words, "--set", "wrist=free"]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith("error: no environment")
-
-
 def test_an_object_of_ones_own_is_evaluated_and_recorded(tmp_path, capsys):
     words = ["--policy", "grasp", "--engine", "mujoco", "--object", "cylinder:0.025,0.06"]
     assert (

@@ -9,7 +9,6 @@ import pytest
 
 from experiments import conformance
 from experiments.conformance import figures, free_space, slack_droop, stiffest_mode
-from hpac_gym.errors import ParameterError
 from hpac_gym.model import HPAC
 from hpac_gym.physics.settings import BODIES, WorldSettings
 from hpac_gym.physics.simulation import SET_UPS, make_engine
@@ -120,8 +119,3 @@ def test_the_command_prints_every_figure_and_fails_on_a_missed_mark(
         "unit": "mm",
         "holds": status == 0,
     }
-
-
-def test_a_combination_that_does_not_ship_is_refused():
-    with pytest.raises(ParameterError, match="pybullet with body light is not installed"):
-        conformance.main(["--engine", "pybullet", "--body", "light"])

@@ -22,7 +22,6 @@ from hpac_gym.figures import label
 from hpac_gym.model import HPAC, JOINTS
 from hpac_gym.model.calibration import Calibration, Friction
 from hpac_gym.model.settled import EXTENSION, FLEXION, settled_joints_from_servo
-from tests.options import refused
 
 REFERENCE = Reference.of()
 SERVO = np.linspace(0, 1, 11)
@@ -268,11 +267,6 @@ def test_without_a_part_all_are_run(words, tmp_path, monkeypatch):
     monkeypatch.setattr(study, "PARTS", parts)
     assert study.main([*words, "--out", str(tmp_path)]) == 0
     assert made == (words if len(words) == 2 else list(parts))
-
-
-def test_an_unknown_part_is_told(tmp_path, capsys):
-    said = refused(capsys, lambda: study.main(["speed", "--out", str(tmp_path)]))
-    assert "invalid choice: 'speed' (choose from" in said
 
 
 @pytest.mark.slow

@@ -5,9 +5,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from hpac_gym.command import run
 from hpac_gym.policies.loading import load_policy
-from tests.options import refused
 from tools.film_strip import BORDER, CAPTION, FRAME, TITLE, Row, caption, film_strip, main, sheet
 
 
@@ -21,13 +19,6 @@ def test_the_command_draws_a_row_an_episode_and_a_picture_a_time(tmp_path, capsy
             2 * (TITLE + CAPTION + FRAME[1] + BORDER) - BORDER,
         )
     assert str(out) in capsys.readouterr().out
-
-
-def test_no_time_within_the_episodes_is_one_line_and_no_picture(tmp_path, capsys):
-    out = tmp_path / "strip.png"
-    words = ["HPAC-Grasp-v0", "--policy", "random", "--at", "9", "--out", str(out)]
-    assert "at any of [9.0] s" in refused(capsys, lambda: run(lambda: main(words)))
-    assert not out.exists()
 
 
 def strip(env_id: str, seed: int, *times: float, policy: str = "scripted") -> Row:
