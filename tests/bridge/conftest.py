@@ -14,9 +14,15 @@ def virtual_hand():
 
 
 @pytest.fixture
-def link(virtual_hand):
-    """A connected link to `virtual_hand`, not armed."""
-    with HandLink(virtual_hand.connect) as connected:
+def overheard(virtual_hand):
+    """A wire to `virtual_hand` that may be spoiled."""
+    return Overheard(virtual_hand)
+
+
+@pytest.fixture
+def link(overheard):
+    """A connected link to `virtual_hand` over `overheard`, not armed."""
+    with HandLink(lambda: overheard) as connected:
         yield connected
 
 
@@ -31,9 +37,3 @@ def armed(link):
 def host_board():
     with HostBoard() as board:
         yield board
-
-
-@pytest.fixture
-def overheard(virtual_hand):
-    """A transport to `virtual_hand` that can lose its frames."""
-    return Overheard(virtual_hand)

@@ -6,6 +6,10 @@ import numpy as np
 from hpac_gym.bridge.frame import Frame, FrameSplitter, decode, encode
 from hpac_gym.bridge.hands import VirtualTransport
 from hpac_gym.bridge.protocol import MESSAGES
+from hpac_gym.virtual.wire import BadTransport, Faults
+
+LOST = Faults(loss=1.0)
+"""Of a way on which nothing arrives."""
 
 
 def of_zeros(name, **fields):
@@ -54,56 +58,20 @@ class Device(VirtualTransport):
         return said
 
 
-class Overheard(VirtualTransport):
-    """Notes when which frame is written; loses what goes "out" or comes "in" if it is told to."""
+class Overheard(BadTransport):
+    """A wire that notes when which frame is written; it has no faults until it is `spoiled`."""
 
-    def __init__(self, hand, *lost):
-        super().__init__(hand)
-        self.lost = lost
+    def __init__(self, hand, seed=0):
+        super().__init__(hand, np.random.default_rng(seed), Faults())
         self.frames = []
 
     def write(self, data):
         self.frames.append((self.now(), decode(data[1:-1])))
-        if "out" not in self.lost:
-            super().write(data)
+        super().write(data)
 
-    def read(self, timeout):
-        data = super().read(timeout)
-        return b"" if "in" in self.lost else data
+    def spoil(self, **faults):
+        """Both ways get these faults and no others."""
+        self.there.faults = self.back.faults = Faults(**faults)
 
     def of(self, name):
         return [(time, frame) for time, frame in self.frames if frame.name == name]
-
-
-class Bad(Overheard):
-    """Once `armed`, loses frames in both directions, delivers the host's late by up to `jitter` and
-    the hand's by `latency`.
-    """
-
-    def __init__(self, hand, loss=0.0, jitter=0.0, latency=0.0, seed=0):
-        super().__init__(hand)
-        self.loss = loss
-        self.jitter = jitter
-        self.latency = latency
-        self.rng = np.random.default_rng(seed)
-        self.out = []
-        self.back = []
-        self.armed = False
-
-    def write(self, data):
-        if not self.armed or self.rng.random() >= self.loss:
-            self.out.append((self.now() + self.armed * self.rng.uniform(0, self.jitter), data))
-
-    def read(self, timeout):
-        until = self.now() + timeout
-        while True:
-            while self.out and self.out[0][0] <= self.now():
-                super().write(self.out.pop(0)[1])
-            if self.back and self.back[0][0] <= self.now():
-                return self.back.pop(0)[1]
-            if self.now() >= until:
-                return b""
-            due = min([until, *(at for at, _ in (*self.out[:1], *self.back[:1]))])
-            data = super().read(max(due - self.now(), 1e-6))
-            if data and (not self.armed or self.rng.random() >= self.loss):
-                self.back.append((self.now() + self.armed * self.latency, data))

@@ -13,11 +13,13 @@ import signal
 import subprocess
 import sys
 import textwrap
-import threading
 import time
 import warnings
 from asyncio import CancelledError
+from concurrent.futures import ThreadPoolExecutor
+from itertools import count
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -41,6 +43,8 @@ from hpac_gym.bridge.frame import Frame, decode, encode
 from hpac_gym.bridge.hands import VirtualTransport
 from hpac_gym.bridge.interrupts import interrupts
 from hpac_gym.model import ServoCommand
+from hpac_gym.virtual.wire import Faults
+from tests.bridge.devices import LOST
 from tests.processes import python, wait_for
 from tools.evidence import user_programs
 
@@ -50,17 +54,15 @@ POSE = ServoCommand(np.full(6, 0.4), 0.5)
 
 
 @pytest.fixture(autouse=True)
-def no_signal_before():
-    """A signal of another test, less than a second ago, would make this one's a repetition."""
+def own_signals():
+    """A signal of another test, less than a second ago, would make this one's a repetition; the
+    handlers of a test end with it.
+    """
+    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGALRM)}
     interrupts.begin()
-
-
-@pytest.fixture(autouse=True, scope="module")
-def signals_as_in_a_terminal():
-    """A job in the background of a shell ignores SIGINT, and so would these tests."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
-    signal.signal(signal.SIGINT, before)
+    for number, handler in before.items():
+        signal.signal(number, handler)
 
 
 # --- signals
@@ -105,7 +107,7 @@ def session_with_ctrl_c(at_line, again_after=None):
 
     came_out = None
     over = False
-    before = signal.signal(signal.SIGALRM, again)
+    signal.signal(signal.SIGALRM, again)
     try:
         sys.settrace(trace)
         try:
@@ -119,8 +121,6 @@ def session_with_ctrl_c(at_line, again_after=None):
     except BaseException as error:
         over = True
         came_out = error
-    finally:
-        signal.signal(signal.SIGALRM, before)
     return hand, lines, came_out, came_again
 
 
@@ -194,15 +194,12 @@ def test_a_second_ctrl_c_repeats_the_first_for_a_second(virtual_hand, monkeypatc
 
 def test_a_program_keeps_its_own_signal_handlers(virtual_hand):
     seen = []
-    before = signal.signal(signal.SIGTERM, lambda number, _frame: seen.append(number))
-    try:
-        with HandLink(virtual_hand.connect) as link:
-            link.arm()
-            signal.raise_signal(signal.SIGTERM)
-            assert link.heartbeat() == "armed"
-        assert seen == [signal.SIGTERM]
-    finally:
-        signal.signal(signal.SIGTERM, before)
+    signal.signal(signal.SIGTERM, lambda number, _frame: seen.append(number))
+    with HandLink(virtual_hand.connect) as link:
+        link.arm()
+        signal.raise_signal(signal.SIGTERM)
+        assert link.heartbeat() == "armed"
+    assert seen == [signal.SIGTERM]
 
 
 # --- processes
@@ -379,12 +376,9 @@ def test_a_signal_during_the_release_by_a_closed_generator_or_cancelled_task_is_
     assert not virtual_hand.pulses().any()
 
 
-def test_an_error_of_the_port_s_close_hides_neither_the_user_s_nor_the_end(virtual_hand):
-    class Stuck(VirtualTransport):
-        def close(self):
-            raise OSError("it does not close")
-
-    with pytest.raises(ZeroDivisionError), HandLink(lambda: Stuck(virtual_hand)) as link:
+def test_an_error_of_the_port_s_close_hides_neither_the_user_s_nor_the_end(virtual_hand, overheard):
+    overheard.close = Mock(side_effect=OSError("it does not close"))
+    with pytest.raises(ZeroDivisionError), HandLink(lambda: overheard) as link:
         link.arm(Action.hold)
         raise ZeroDivisionError
     assert link._connection.ended
@@ -408,25 +402,20 @@ def test_a_blackout_at_the_end_does_not_leave_a_holding_hand_on(virtual_hand):
     assert not virtual_hand.pulses().any()
 
 
-def test_long_last_words_are_told(virtual_hand, monkeypatch, capsys):
-    clock = iter(range(1000))
-    monkeypatch.setattr("hpac_gym.progress.monotonic", lambda: next(clock))
-    with pytest.warns(UnconfirmedWarning), HandLink(virtual_hand.connect) as link:
-        link.arm(Action.hold)
-        link.exchange.transport.write = lambda data: None
-    assert capsys.readouterr().err == "asking the hand to stop: no answer yet\n"
-
-
-def test_the_last_words_go_on_though_standard_error_is_closed(virtual_hand, monkeypatch):
-    clock = iter(range(1000))
-    monkeypatch.setattr("hpac_gym.progress.monotonic", lambda: next(clock))
-    closed = io.StringIO()
-    closed.close()
-    monkeypatch.setattr(sys, "stderr", closed)
+@pytest.mark.parametrize("closed", [False, True])
+def test_long_last_words_are_told_and_go_on_though_standard_error_is_closed(
+    overheard, monkeypatch, closed
+):
+    monkeypatch.setattr("hpac_gym.progress.monotonic", count().__next__)
+    stderr = io.StringIO()
+    monkeypatch.setattr(sys, "stderr", stderr)
     with pytest.warns(UnconfirmedWarning, match=r"ESTOP × \d\d"):
-        with HandLink(virtual_hand.connect, timeout=0.02) as link:
+        with HandLink(lambda: overheard, timeout=0.02) as link:
             link.arm(Action.hold)
-            link.exchange.transport.write = lambda data: None
+            overheard.there.faults = LOST
+            if closed:
+                stderr.close()
+    assert closed or stderr.getvalue() == "asking the hand to stop: no answer yet\n"
 
 
 def test_a_link_that_was_taken_over_leaves_the_new_controller_its_hand(virtual_hand, link):
@@ -506,7 +495,7 @@ def left_holding(virtual_hand, overheard):
     """A hand that holds in a fault: an earlier session has lost it."""
     with pytest.warns(UnconfirmedWarning), HandLink(lambda: overheard) as link:
         link.arm(Action.hold)
-        overheard.lost = ("in", "out")
+        overheard.spoil(loss=1.0)
     virtual_hand.run(1.0)
     assert virtual_hand.pulses().all()
     return virtual_hand
@@ -515,7 +504,7 @@ def left_holding(virtual_hand, overheard):
 def test_answers_lost_while_arming_leave_no_pulses(virtual_hand, overheard):
     with pytest.warns(UnconfirmedWarning, match="CLEAR × 1[0-9]"):
         with pytest.raises(LinkTimeout) as caught, HandLink(lambda: overheard) as link:
-            overheard.lost = ("in",)
+            overheard.back.faults = LOST
             link.arm(Action.hold)
     assert "not confirmed" in caught.value.__notes__[0]
     assert not virtual_hand.pulses().any()
@@ -526,7 +515,7 @@ def test_a_dead_link_is_told_of_and_the_users_exception_survives(overheard):
         warnings.simplefilter("error")
         with pytest.raises(ZeroDivisionError) as caught, HandLink(lambda: overheard) as link:
             link.arm(Action.detach)
-            overheard.lost = ("in", "out")
+            overheard.spoil(loss=1.0)
             raise ZeroDivisionError
     assert re.search(r"ESTOP × \d+, CLEAR × \d+", caught.value.__notes__[0])
     assert "supply" in caught.value.__notes__[0]
@@ -547,7 +536,7 @@ def test_the_next_session_ends_a_fault_that_holds(left_holding):
 
 
 def test_a_hand_that_nobody_can_hear_is_cleared_when_the_handshake_fails(left_holding, overheard):
-    overheard.lost = ("in",)
+    overheard.there.faults = Faults()
     with pytest.raises(HandshakeError) as caught:
         HandLink(lambda: overheard, handshake_timeout=0.3).connect()
     assert "not confirmed" in caught.value.__notes__[0]
@@ -587,13 +576,10 @@ def test_a_full_disk_neither_stops_an_estop_nor_hides_the_users_exception(virtua
 
 
 def test_a_log_that_fails_is_told_once_even_where_warnings_are_errors(virtual_hand, capsys):
-    class Broken:
-        def record(self, *_):
-            raise RuntimeError("broken log")
-
+    broken = Mock(record=Mock(side_effect=RuntimeError("broken log")))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        with HandLink(virtual_hand.connect, log=Broken()) as link:
+        with HandLink(virtual_hand.connect, log=broken) as link:
             told = capsys.readouterr().err
             link.arm(Action.hold)
     assert told.count("broken log") == 1, "the first frame tells"
@@ -623,66 +609,52 @@ print("closed")
 
 def test_estop_from_a_signal_handler_ends_the_interrupted_call(host_board):
     with HandLink(host_board.connect) as link:
-        before = signal.signal(signal.SIGALRM, lambda *_: link.estop())
-        try:
-            told = 0
-            for delay in np.linspace(0.002, 0.05, 4):
-                if link.state == "fault":
-                    link.clear()
-                link.arm(Action.hold)
-                signal.setitimer(signal.ITIMER_REAL, delay)
-                try:
-                    while link.state != "fault":
-                        link.status()
-                except StoppedError as error:
-                    told += "stopped by estop()" in str(error)
-                assert link.state == "fault"
-                assert not host_board.pulses().any()
-            assert told >= 2, (
-                "an e-stop between two calls interrupts none of them, but most come during one"
-            )
-        finally:
-            signal.signal(signal.SIGALRM, before)
-
-
-def test_estop_from_another_thread_ends_the_call_that_waits(host_board):
-    with HandLink(host_board.connect) as link:
-        for wait in (lambda: link.sleep(30), lambda: [link.status() for _ in range(10**6)]):
-            link.arm(Action.hold)
-            confirmed = []
-            stopper = threading.Timer(
-                0.05, lambda confirmed=confirmed: confirmed.append(link.estop())
-            )
-            start = time.monotonic()
-            stopper.start()
-            with pytest.raises(StoppedError):
-                wait()
-            stopper.join()
-            assert time.monotonic() - start < 20.0
-            assert confirmed, "estop() has raised an error"
-            assert link.status().fault == "estop"
-            assert not host_board.pulses().any()
+        signal.signal(signal.SIGALRM, lambda *_: link.estop())
+        told = 0
+        for delay in np.linspace(0.002, 0.05, 4):
             link.clear()
+            link.arm(Action.hold)
+            signal.setitimer(signal.ITIMER_REAL, delay)
+            try:
+                while link.state != "fault":
+                    link.status()
+            except StoppedError as error:
+                told += "stopped by estop()" in str(error)
+            assert link.state == "fault"
+            assert not host_board.pulses().any()
+        assert told >= 2, (
+            "an e-stop between two calls interrupts none of them, but most come during one"
+        )
 
 
-def test_close_from_another_thread_ends_the_call_that_waits(host_board):
+@pytest.mark.parametrize("stop", [HandLink.estop, HandLink.close])
+def test_estop_and_close_from_another_thread_end_the_call_that_waits(host_board, stop):
     link = HandLink(host_board.connect)
     link.connect()
-    link.arm(Action.hold)
-    closer = threading.Timer(0.1, link.close)
-    closer.start()
-    with pytest.raises(StoppedError, match=r"close\(\)"):
-        link.sleep(30)
-    closer.join()
-    assert not host_board.pulses().any()
-    with pytest.raises(PortError, match="not connected"):
-        link.heartbeat()
+    for wait in (lambda: link.sleep(30), lambda: [link.status() for _ in range(10**6)]):
+        link.arm(Action.hold)
+        start = time.monotonic()
+        with ThreadPoolExecutor() as pool:
+            stopped = pool.submit(lambda: time.sleep(0.05) or stop(link))
+            with pytest.raises(StoppedError, match=rf"{stop.__name__}\(\)"):
+                wait()
+        assert time.monotonic() - start < 20.0
+        stopped.result()  # raises what `stop` has raised
+        assert not host_board.pulses().any()
+        if stop is HandLink.estop:
+            assert link.status().fault == "estop"
+            link.clear()
+        else:
+            with pytest.raises(PortError, match="not connected"):
+                link.heartbeat()
+            link.connect()
+    link.close()
 
 
 def test_an_estop_that_is_not_confirmed_says_so(virtual_hand, overheard):
     with pytest.warns(UnconfirmedWarning), HandLink(lambda: overheard) as link:
         link.arm()
-        overheard.lost = ("in",)
+        overheard.back.faults = LOST
         with pytest.raises(LinkTimeout, match="estop"):
             link.estop()
         assert not virtual_hand.pulses().any()

@@ -42,7 +42,7 @@ from hpac_gym.model import (
     stream_command,
 )
 from hpac_gym.model.calibration import Calibration
-from tests.bridge.devices import Bad, Device, of_another_version, refusing
+from tests.bridge.devices import Device, Overheard, of_another_version, refusing
 
 POSE = np.array([0.5, 0.4, 0.3, 0.2, 0.1, 0.6])
 
@@ -229,10 +229,10 @@ def test_a_slow_hand_whose_servos_hold_without_power_is_armed_from_the_fist():
 
 
 def test_every_command_arrives_once_over_a_line_that_loses_a_tenth(virtual_hand):
-    lossy = Bad(virtual_hand, loss=0.1)
+    lossy = Overheard(virtual_hand)
     with HandLink(lambda: lossy, attempts=10, timeout=0.03) as link:
         link.arm()
-        lossy.armed = True
+        lossy.spoil(loss=0.1)
         for command in streamed(np.random.default_rng(6), 200):
             link.move(command)
             np.testing.assert_allclose(link.wait().servo, command.servo, atol=1e-4)

@@ -28,21 +28,21 @@ from hpac_gym.bridge.frame import Frame, FrameSplitter, decode, encode
 from hpac_gym.bridge.hands import VirtualTransport
 from hpac_gym.bridge.protocol import FLAG_MINIMUM_JERK, MESSAGES
 from hpac_gym.model import HPAC, ServoCommand
-from tests.bridge.devices import Bad, Device, Overheard
-
-
-@pytest.fixture
-def talking(overheard):
-    with HandLink(lambda: overheard) as link:
-        yield link
+from tests.bridge.devices import LOST, Device
 
 
 def gaps(said):
     return np.diff([time for time, _ in said])
 
 
-def test_a_handshake_is_tried_every_tenth_of_a_second_for_three(virtual_hand):
-    deaf = Overheard(virtual_hand, "out")
+@pytest.fixture
+def deaf(overheard):
+    """A wire on which the hand hears nothing."""
+    overheard.there.faults = LOST
+    return overheard
+
+
+def test_a_handshake_is_tried_every_tenth_of_a_second_for_three(deaf):
     with pytest.raises(HandshakeError, match=r"no hand answered within 3 s \(silence\)") as caught:
         HandLink(lambda: deaf).connect()
     hellos = deaf.of("hello")
@@ -54,23 +54,22 @@ def test_a_handshake_is_tried_every_tenth_of_a_second_for_three(virtual_hand):
     assert "(sent HELLO × 3, CLEAR × 3: no answer)" in caught.value.__notes__[0]
 
 
-def test_a_frame_is_sent_three_times_a_tenth_of_a_second_apart(talking, overheard):
-    talking.arm()
-    overheard.lost = ("out",)
+def test_a_frame_is_sent_three_times_a_tenth_of_a_second_apart(link, overheard):
+    link.arm()
+    overheard.there.faults = LOST
     before = len(overheard.of("status"))
     with pytest.raises(LinkTimeout, match=r"no answer to heartbeat: 3 times, 0.1 s each"):
-        talking.heartbeat()
+        link.heartbeat()
     said = overheard.of("heartbeat")[-3:]
     np.testing.assert_allclose(gaps(said), 0.1, atol=0.002)
     assert len({frame.seq for _, frame in said}) == 1
     assert len(overheard.of("status")) == before + 3
-    assert talking.statistics.retried == 4
+    assert link.statistics.retried == 4
     before = len(overheard.frames)
-    transport = talking._connection.exchange.transport
-    begun = transport.now()
+    begun = overheard.now()
     with pytest.warns(UnconfirmedWarning, match=r"sent .*ESTOP × \d+, CLEAR × \d+") as told:
-        talking.close()
-    assert 3.0 <= transport.now() - begun < 4.5
+        link.close()
+    assert 3.0 <= overheard.now() - begun < 4.5
     assert "switch their supply off" in str(told[0].message)
     names = [frame.name for _, frame in overheard.frames[before:]]
     words = [name for name in names if name != "status"]
@@ -117,14 +116,12 @@ def test_a_stopped_program_leaves_the_fault_even_if_the_stops_sender_reads_its_a
         assert link.status().fault == "estop"
 
 
-def test_signs_of_life_are_timed_from_their_sending_not_from_their_answers(virtual_hand):
+def test_signs_of_life_are_timed_from_their_sending_not_from_their_answers(overheard, link):
     """A slow answer must not make the next one late: the hand counts from what it heard."""
-    slow = Bad(virtual_hand, latency=0.06)
-    with HandLink(lambda: slow, timeout=0.2) as link:
-        link.arm(watchdog=0.4)
-        slow.armed = True
-        link.sleep(3.0)
-        np.testing.assert_allclose(gaps(slow.of("heartbeat")[-15:]), 0.1, atol=0.002)
+    link.arm(watchdog=0.4)
+    overheard.spoil(latency=0.06)
+    link.sleep(3.0)
+    np.testing.assert_allclose(gaps(overheard.of("heartbeat")[-15:]), 0.1, atol=0.002)
 
 
 def test_an_ack_of_another_message_is_no_answer(virtual_hand):
@@ -138,66 +135,66 @@ def test_an_ack_of_another_message_is_no_answer(virtual_hand):
 
 
 @pytest.mark.parametrize("watchdog", [0.1, 0.4, 2.0])
-def test_four_signs_of_life_come_within_a_watchdogs_period(talking, overheard, watchdog):
-    talking.arm(watchdog=watchdog)
-    talking.sleep(10 * watchdog)
+def test_four_signs_of_life_come_within_a_watchdogs_period(link, overheard, watchdog):
+    link.arm(watchdog=watchdog)
+    link.sleep(10 * watchdog)
     said = overheard.of("heartbeat")[-30:]
     np.testing.assert_allclose(gaps(said), watchdog / 4, atol=0.002)
-    assert talking.sleep(0.0) is None
-    assert talking.sleep(-1.0) is None
+    assert link.sleep(0.0) is None
+    assert link.sleep(-1.0) is None
 
 
-def test_what_is_not_said_has_the_documented_values(talking, overheard):
-    talking.arm()
+def test_what_is_not_said_has_the_documented_values(link, overheard):
+    link.arm()
     ((_, arm),) = overheard.of("arm")
     assert (arm.fields["watchdog_ms"], arm.fields["action"], arm.flags) == (400, Action.relax, 0)
-    talking.move(ServoCommand(np.full(6, 0.01), 0.05))
-    talking.move(ServoCommand(np.full(6, 0.02), 0.050001), minimum_jerk=True, pace=False)
+    link.move(ServoCommand(np.full(6, 0.01), 0.05))
+    link.move(ServoCommand(np.full(6, 0.02), 0.050001), minimum_jerk=True, pace=False)
     first, second = (frame for _, frame in overheard.of("move"))
     assert (first.fields["duration_ms"], first.flags) == (50, 0)
     assert (second.fields["duration_ms"], second.flags) == (51, FLAG_MINIMUM_JERK)
     assert first.fields["servo"] == (100,) * 6
-    talking.status()
-    talking.status(period=0.05)
+    link.status()
+    link.status(period=0.05)
     assert [frame.fields["period_ms"] for _, frame in overheard.of("status")[-2:]] == [0, 50]
 
 
-def test_a_move_waits_for_the_one_before_and_no_longer(talking, overheard):
-    talking.arm()
+def test_a_move_waits_for_the_one_before_and_no_longer(link, overheard):
+    link.arm()
     for i in range(5):
-        talking.move(ServoCommand(np.full(6, 0.01 * i), 0.05))
+        link.move(ServoCommand(np.full(6, 0.01 * i), 0.05))
     np.testing.assert_allclose(gaps(overheard.of("move")), 0.05, atol=0.002)
     for i in range(5):
-        talking.move(ServoCommand(np.full(6, 0.01 * i), 0.05), pace=False)
+        link.move(ServoCommand(np.full(6, 0.01 * i), 0.05), pace=False)
     assert max(gaps(overheard.of("move")[-5:])) < 0.01
 
 
-def test_arming_again_in_a_long_move_waits_for_its_end(talking):
-    talking.arm()
-    talking.move(ServoCommand(np.full(6, 0.1), 10.0))
-    talking.arm(watchdog=1.0)
-    np.testing.assert_allclose(talking.last_status.servo, 0.1)
+def test_arming_again_in_a_long_move_waits_for_its_end(link):
+    link.arm()
+    link.move(ServoCommand(np.full(6, 0.1), 10.0))
+    link.arm(watchdog=1.0)
+    np.testing.assert_allclose(link.last_status.servo, 0.1)
 
 
-def test_arming_asks_every_twentieth_of_a_second(talking, overheard):
-    talking.arm()
+def test_arming_asks_every_twentieth_of_a_second(link, overheard):
+    link.arm()
     asked = overheard.of("status")
     assert 40 < len(asked) < 60  # 2.1 s after power-on, and the way to rest
     np.testing.assert_allclose(gaps(asked), 0.05, atol=0.005)
 
 
-def test_waiting_for_a_hand_that_never_stops_ends_a_second_after_its_time(talking, monkeypatch):
-    talking.arm()
-    still = talking.status()
+def test_waiting_for_a_hand_that_never_stops_ends_a_second_after_its_time(link, monkeypatch):
+    link.arm()
+    still = link.status()
     asked = []
     monkeypatch.setattr(
         HandLink, "status", lambda self: asked.append(1) or dataclasses.replace(still, moving=True)
     )
-    talking.move(ServoCommand(np.full(6, 0.01), 0.5))
-    start = talking._now()
+    link.move(ServoCommand(np.full(6, 0.01), 0.5))
+    start = link._now()
     with pytest.raises(LinkTimeout, match="still moves 1 s after"):
-        talking.wait()
-    assert talking._now() - start == pytest.approx(1.5, abs=0.02)
+        link.wait()
+    assert link._now() - start == pytest.approx(1.5, abs=0.02)
     assert len(asked) == pytest.approx(1000, abs=3)
 
 
@@ -261,8 +258,7 @@ def test_a_port_that_fails_in_one_direction_ends_the_call_at_once(virtual_hand, 
 # -----------------------------------------------------------------------------------------------------------
 
 
-def test_doctor_listens_for_three_seconds(virtual_hand):
-    deaf = Overheard(virtual_hand, "out")
+def test_doctor_listens_for_three_seconds(deaf):
     finding = diagnose("here", lambda: deaf)
     assert "silence for 3 s" in finding.what
     hellos = deaf.of("hello")
@@ -276,14 +272,14 @@ def test_doctor_listens_for_three_seconds(virtual_hand):
     [(10, 1, False), (11, 1, True), (11, 1100, False), (12, 1199, True)],
 )
 def test_doctor_calls_more_than_ten_and_one_in_a_hundred_damaged_frames_noise(
-    talking, bad, accepted, noisy
+    link, bad, accepted, noisy
 ):
-    status = talking.status()
+    status = link.status()
     for counter in ("bad_crc", "bad_frame", "overrun"):
         status.counters.update(
             {"bad_crc": 0, "bad_frame": 0, "overrun": 0, "accepted": accepted} | {counter: bad}
         )
-        finding = _judge("here", talking.info, status, LinkStatistics(), HPAC)
+        finding = _judge("here", link.info, status, LinkStatistics(), HPAC)
         assert (finding.port, finding.healthy) == ("here", not noisy)
         assert ("line noise" in finding.advice) is noisy
         assert not noisy or f"{bad} damaged frames" in finding.what
@@ -307,16 +303,16 @@ def test_doctor_takes_nine_in_ten_printable_bytes_for_text(heard, what):
     assert not finding.healthy
 
 
-def test_doctor_tells_what_the_board_measures_the_trims_and_the_round_trip_in_milliseconds(talking):
+def test_doctor_tells_what_the_board_measures_the_trims_and_the_round_trip_in_milliseconds(link):
     statistics = LinkStatistics()
     statistics.round_trips.extend([0.001, 0.002, 0.009])
-    plain = _judge("here", talking.info, talking.status(), statistics, HPAC).what
+    plain = _judge("here", link.info, link.status(), statistics, HPAC).what
     assert "round trip 2.0 ms" in plain
     assert not any(word in plain for word in ("supply", "heat", "trims"))
     status = dataclasses.replace(
-        talking.status(), supply=5.018, heat=np.array([0, 0, 0.34, 0.1, 0, 0])
+        link.status(), supply=5.018, heat=np.array([0, 0, 0.34, 0.1, 0, 0])
     )
-    info = dataclasses.replace(talking.info, trim_ns=(0, -300, 0, 0, 0, 20_000))
+    info = dataclasses.replace(link.info, trim_ns=(0, -300, 0, 0, 0, 20_000))
     what = _judge("here", info, status, LinkStatistics(), HPAC).what
     assert "boot 1, supply 5.02 V, heat up to 34%, trims 0 -300 0 0 0 20000 ns" in what
 

@@ -16,7 +16,8 @@ from hpac_gym.bridge.frame import Frame, encode
 from hpac_gym.bridge.gentle import open_hand
 from hpac_gym.errors import ShapeError
 from hpac_gym.model import HPAC, ServoCommand
-from tests.bridge.devices import Bad
+from hpac_gym.virtual.wire import Faults
+from tests.bridge.devices import LOST, Overheard
 
 
 @pytest.fixture
@@ -41,23 +42,18 @@ def close(stream, count):
         stream.send(HPAC.servo_max)
 
 
-def streamed(count=400, early=0.005, **bad):
+def streamed(count=400, early=0.005, seed=0, **bad):
     hand = VirtualHand()
-    made = []
-
-    def connect():
-        made.append(Bad(hand, **bad))
-        return made[-1]
-
-    with HandLink(connect) as link:
+    wire = Overheard(hand, seed)
+    with HandLink(lambda: wire) as link:
         link.arm(watchdog=0.5)
         stream = link.stream(early=early)
-        made[-1].armed = True
+        wire.spoil(**bad)
         for target in targets(count):
             sent = stream.send(target)
         link.listen(0.2, "end")
         reached = servo_from_pulses(hand.pulses())
-        made[-1].armed = False
+        wire.spoil()
     return stream.counts, sent, reached
 
 
@@ -93,12 +89,13 @@ def test_without_a_margin_early_commands_are_refused():
 
 
 @pytest.mark.parametrize("believes", [False, True])
-def test_a_stream_that_continues_from_what_it_sent_is_refused_after_a_loss(link, stream, believes):
+def test_a_stream_that_continues_from_what_it_sent_is_refused_after_a_loss(
+    overheard, stream, believes
+):
     """The control: the hand refuses what is further than its rate allows."""
-    write = link.exchange.transport.write
     for count in range(14):
         gone = 2 <= count < 7
-        link.exchange.transport.write = (lambda data: None) if gone else write
+        overheard.there.faults = LOST if gone else Faults()
         stream.send(HPAC.servo_max)
         if gone and believes:  # that they arrived
             stream._ramps = {0: list(stream._ramps.values())[-1]}
@@ -106,11 +103,10 @@ def test_a_stream_that_continues_from_what_it_sent_is_refused_after_a_loss(link,
 
 
 @pytest.mark.parametrize("lost", [0, 2])
-def test_a_lost_command_costs_no_way(virtual_hand, link, stream, lost):
+def test_a_lost_command_costs_no_way(virtual_hand, overheard, link, stream, lost):
     """A third one does: the hand stops at the end of its move."""
-    write = link.exchange.transport.write
     for count in range(8):
-        link.exchange.transport.write = (lambda data: None) if 3 <= count < 3 + lost else write
+        overheard.there.faults = LOST if 3 <= count < 3 + lost else Faults()
         stream.send(HPAC.servo_max)
     link.listen(stream.period, "end")
     way = servo_from_pulses(virtual_hand.pulses()).max()
@@ -163,9 +159,9 @@ def test_a_hot_hand_slows_down_and_goes_on(link, stream):
     ],
     ids=["estop", "taken over"],
 )
-def test_another_program_ends_it(link, stream, frame, error, says):
+def test_another_program_ends_it(virtual_hand, stream, frame, error, says):
     stream.send(HPAC.servo_max)
-    link.exchange.transport.write(encode(frame))
+    virtual_hand.receive(encode(frame))
     with pytest.raises(error, match=says):
         close(stream, 3)
 
@@ -178,8 +174,8 @@ def test_a_stream_of_the_longest_period_goes_on_though_it_is_a_little_late(link,
     assert (slow.counts.sent, slow.counts.late) == (3, 2)
 
 
-def test_a_deaf_hand_ends_it_after_a_second(link, stream):
-    link.exchange.transport.write = lambda data: None
+def test_a_deaf_hand_ends_it_after_a_second(overheard, link, stream):
+    overheard.there.faults = LOST
     with pytest.raises(LinkTimeout, match="no answer to a streamed move for 1 s"):
         close(stream, 40)
     with pytest.warns(UserWarning, match="has not confirmed"):
@@ -206,30 +202,27 @@ def test_moves_are_answered_again_after_a_stream(link, stream):
 
 
 @pytest.mark.parametrize("ended", [False, True])
-def test_a_last_command_that_is_refused_late_is_the_stream_s_alone(ended):
-    hand = VirtualHand()
-    with HandLink(lambda: Bad(hand, latency=0.12)) as link:
-        link.arm(watchdog=1.0)
-        stream = link.stream()
-        link.exchange.transport.armed = True
-        stream._share = 3.0
-        stream.send(HPAC.servo_max)
-        if ended:
-            stream.close()
-        open_hand(link)
-        link.exchange.transport.armed = False
+def test_a_last_command_that_is_refused_late_is_the_stream_s_alone(overheard, link, stream, ended):
+    overheard.spoil(latency=0.12)
+    stream._share = 3.0
+    stream.send(HPAC.servo_max)
+    if ended:
+        stream.close()
+    open_hand(link)
+    overheard.spoil()
     assert stream.counts.refused == ended
 
 
-def test_a_hand_that_may_be_at_many_places_is_led_away_from_no_target(virtual_hand, link, stream):
+def test_a_hand_that_may_be_at_many_places_is_led_away_from_no_target(
+    virtual_hand, overheard, stream
+):
     """They may be further apart than a move leads, once a hot hand is slower."""
-    write = link.exchange.transport.write
     close(stream, 2)
-    link.exchange.transport.write = lambda data: None
+    overheard.there.faults = LOST
     close(stream, 5)
     stream._share = 0.05
     stream.send(np.where(np.arange(6) == 1, HPAC.servo_min, HPAC.servo_max))
     leads_to = list(stream._ramps.values())[-1].to
-    link.exchange.transport.write = write
+    overheard.spoil()
     pose = servo_from_pulses(virtual_hand.pulses())
     assert (np.delete(leads_to - pose, 1) > -0.02).all()
