@@ -4,9 +4,12 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from hpac_gym.body.objects import ObjectSpec
+from hpac_gym.errors import EpisodeError
 from hpac_gym.physics.engine import SceneSetup
+from hpac_gym.tasks.scripted import Script
 from hpac_gym.tasks.terms import Layout
 
 EASY = SceneSetup(
@@ -22,13 +25,14 @@ OPEN = np.array([-1, -1, -1, -1, -1, 0.5], np.float32)
 """Action of the open hand, its thumb opposed."""
 
 
-class Still:
-    """Keeps the hand open."""
+class Still(Script):
+    """Keeps an action, that of the open hand by default."""
 
-    def reset(self) -> None: ...
+    def __init__(self, action: np.ndarray = OPEN) -> None:
+        self.action = action
 
     def act(self, observation):
-        return OPEN
+        return self.action
 
 
 def a_setup(**change) -> SceneSetup:
@@ -53,6 +57,12 @@ def run(env, policy, setup=None, seed=0) -> tuple[list[dict], float]:
     """One episode: the infos of its steps, and its return."""
     _, rewards, _, _, infos = zip(*steps(env, policy, setup, seed), strict=True)
     return list(infos[1:]), sum(rewards)
+
+
+def check_stopped(env) -> None:
+    """No episode is running: a step is refused."""
+    with pytest.raises(EpisodeError, match="reset"):
+        env.step(np.zeros(env.action_space.shape))
 
 
 def part(observation: np.ndarray, terms, name: str) -> np.ndarray:

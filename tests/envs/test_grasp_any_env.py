@@ -3,6 +3,7 @@ test_gate.py.
 """
 
 from dataclasses import replace
+from itertools import islice
 
 import gymnasium
 import numpy as np
@@ -16,14 +17,14 @@ from hpac_gym.envs.options import checked_options
 from hpac_gym.errors import ParameterError
 from hpac_gym.evaluation.seeds import BENCHMARK_SEED
 from hpac_gym.model import JOINT_INDEX, SERVOS, action_from_synergy
-from hpac_gym.physics.engine import SceneSetup
+from hpac_gym.physics.engine import SceneSetup, SceneState
 from hpac_gym.physics.settings import BODIES
 from hpac_gym.tasks import placing
 from hpac_gym.tasks.grasp_any import PHASES, RAMP, SIDE_DIRECTIONS, SIDES, GraspAny, GraspAnyConfig
 from hpac_gym.tasks.senses import ServoSenses
 from hpac_gym.tasks.task import CONTROL_HZ
 from hpac_gym.tasks.terms import GRASP_CENTRE, LENGTH_UNIT
-from tests.envs.episodes import a_setup
+from tests.envs.episodes import Still, a_setup, run, steps
 
 ID = "HPAC-GraspAny-v1"
 ENGINES = [pytest.param("pybullet", marks=pytest.mark.pybullet), "mujoco"]
@@ -41,16 +42,14 @@ def easy(**change) -> SceneSetup:
     return a_setup().to(GraspAnySetup, **{"pull": np.array([0.0, 0.0, -1.0])} | change)
 
 
-def closing(
-    env: gymnasium.Env, setup: SceneSetup | None = None, seed: int = 0, until: int = 1000
-) -> list[dict]:
+def opening(env: gymnasium.Env, setup: SceneSetup, at: int) -> list[dict]:
     """The infos of an episode of the closed hand, which opens at a step."""
-    env.reset(seed=seed, options=None if setup is None else {"setup": setup})
-    opened = action_from_synergy(env.unwrapped.episodes.setups[0].synergy).astype(np.float32)
+    env.reset(seed=0, options={"setup": setup})
+    opened = action_from_synergy(setup.synergy).astype(np.float32)
     infos = []
     over = False
     while not over:
-        *_, over, _, info = env.step(CLOSED if len(infos) < until else opened)
+        *_, over, _, info = env.step(CLOSED if len(infos) < at else opened)
         infos.append(info)
     return infos
 
@@ -58,7 +57,7 @@ def closing(
 @pytest.mark.parametrize("engine", ENGINES)
 def test_an_easy_object_is_held_and_judged_to_the_end(engine):
     with make(engine=engine) as env:
-        infos = closing(env, easy())
+        infos, _ = run(env, Still(CLOSED), easy())
     names = [info["phase"] for info in infos]
     assert sorted(names, key=PHASES.index) == names
     assert infos[-1]["is_success"]
@@ -77,11 +76,11 @@ def test_a_hand_that_opens_loses_what_it_would_have_won():
             (shake, {"shake"}, False),
             (sides, {"sides", "ramp"}, True),
         ):
-            infos = closing(env, setup, until=opens)
+            infos = opening(env, setup, opens)
             assert infos[-1]["is_success"] == won
             assert infos[-1]["phase"] in phases
             assert infos[-1]["holding_force"] == 0.0
-        (*_, last) = closing(env, setup, until=ramp + 6)
+        (*_, last) = opening(env, setup, ramp + 6)
         assert last["is_success"]
         assert last["sides"] == 6
         assert 0.0 < last["holding_force"] < 40.0
@@ -108,11 +107,7 @@ def test_what_is_knocked_over_may_be_grasped_again_and_what_is_out_of_reach_is_l
     task = GraspAny("real")
     task.prepare(2, None)
     task.start([0, 1], [easy(), easy()])
-    with make() as env:
-        env.reset(seed=0, options={"setup": easy()})
-        state = env.unwrapped.state
-    for name in state.__slots__:
-        setattr(state, name, np.repeat(getattr(state, name), 2, axis=0))
+    state = SceneState.empty(2)
     state.object_pos[:] = GRASP_CENTRE
     state.object_pos[:, 1] -= [0.13, 0.17]
     assert task.judge(state, 0.05).tolist() == [0, 2]
@@ -133,11 +128,7 @@ def test_mass_and_friction_are_not_seen(obs):
             ),
         )
         first, second = (env.reset(seed=3, options={"setup": given})[0] for given in (setup, other))
-    if obs == "points":
-        np.testing.assert_array_equal(first["points"], second["points"])
-        first = first["deploy"]
-        second = second["deploy"]
-    np.testing.assert_array_equal(first, second)
+    np.testing.assert_equal(first, second)
 
 
 def test_a_horn_that_stays_behind_tells_an_object_from_none(opened):
@@ -203,16 +194,11 @@ def test_a_critic_sees_mass_and_friction_by_their_names():
 def test_the_hand_hides_the_object_at_times_and_the_mask_says_so():
     with make() as env:
         seen = []
+        where = env.unwrapped.slices["object_seen"]
+        place = env.unwrapped.slices["object_pos"]
         for seed in range(4):
-            env.reset(seed=seed)
-            where = env.unwrapped.slices["object_seen"]
-            place = env.unwrapped.slices["object_pos"]
-            rows = []
-            over = False
-            while not over and len(rows) < 60:
-                row, _, over, *_ = env.step(CLOSED)
-                rows.append(row)
-            rows = np.array(rows)
+            played = islice(steps(env, Still(CLOSED), seed=seed), 1, 61)
+            rows = np.array([observation for observation, *_ in played])
             hidden = rows[1:, where][:, 0] == 0
             held = (rows[1:, place] == rows[:-1, place]).all(axis=1)
             np.testing.assert_array_equal(hidden, held)  # a camera that sees has noise
@@ -233,10 +219,11 @@ def test_no_hand_starts_inside_of_anything():
                 rest = action_from_synergy(env.unwrapped.episodes.setups[0].synergy)
                 env.action_space.seed(seed)
                 choice = np.sign(env.action_space.sample()[6:])  # the corners of what can be chosen
-                env.step(np.concatenate([rest, choice]).astype(np.float32))
+                action = np.concatenate([rest, choice]).astype(np.float32)
+                env.step(action)
                 place = env.unwrapped.state.object_pos.copy()
                 for _ in range(5):
-                    env.step(np.concatenate([rest, choice]).astype(np.float32))
+                    env.step(action)
                 state = env.unwrapped.state
                 assert not state.touching.any(), f"{split} {seed}"
                 assert np.linalg.norm(state.object_pos - place) < 2e-3, f"{split} {seed}"
@@ -340,15 +327,11 @@ def test_points_that_are_seen_of_a_hidden_object_have_the_camera_s_error():
         with make(obs="points", noise=noise) as env:
             rows = []
             for seed in range(4):
-                env.reset(seed=seed)
-                for _ in range(50):
-                    seen, _, over, *_ = env.step(CLOSED)
+                for seen, *_ in islice(steps(env, Still(CLOSED), seed=seed), 1, 51):
                     points = seen["points"]
                     hidden = seen["deploy"][env.unwrapped.slices["object_seen"]][0] == 0
                     if hidden and points[0, 3]:
                         rows.append(points[0, :3])
-                    if over:
-                        break
             errors.append(np.array(rows))
     assert len(errors[0]) > 10
     assert np.std(errors[1] - errors[0]) * LENGTH_UNIT == pytest.approx(0.01, rel=0.25)

@@ -2,6 +2,8 @@
 in test_gate.py.
 """
 
+from collections.abc import Callable
+
 import gymnasium
 import numpy as np
 import pytest
@@ -14,6 +16,7 @@ from hpac_gym.policies.policy import EpisodePolicy
 from hpac_gym.tasks.arrival import START, WRIST_CENTRE, WRIST_REACH, WRIST_TURN
 from hpac_gym.tasks.grasp_type_data import GRASP_TYPES, HELD_OUT_TYPES
 from hpac_gym.tasks.grasp_types import LOOK_EVERY, SETTLES
+from hpac_gym.tasks.scripted import Script
 from tests.envs.episodes import EASY, run
 from tools.tables import DOCS
 
@@ -26,28 +29,15 @@ def make(**options) -> gymnasium.Env:
     return gymnasium.make(ID, **{"engine": "mujoco"} | options)
 
 
-class Other:
-    """A script that is told another type than the one that is asked for, or whose actions are
-    changed.
-    """
+class Changed(Script):
+    """The script of an environment, for one episode, with actions that are changed."""
 
-    def __init__(
-        self, env: gymnasium.Env, name: str | None = None, change=lambda action, step: action
-    ) -> None:
+    def __init__(self, env: gymnasium.Env, change: Callable[[np.ndarray, int], np.ndarray]) -> None:
         self.script = env.unwrapped.task.script()
         self.change = change
         self.step = 0
-        self.told = env.unwrapped.slices["type"]
-        self.name = name
-
-    def reset(self) -> None:
-        self.script.reset()
-        self.step = 0
 
     def act(self, observation: np.ndarray) -> np.ndarray:
-        if self.name is not None:
-            observation = observation.copy()
-            observation[self.told] = [name == self.name for name in GRASP_TYPES]
         self.step += 1
         return self.change(self.script.act(observation), self.step)
 
@@ -59,18 +49,16 @@ def test_each_type_s_own_closure_is_held_and_kept_and_a_hand_that_opens_at_the_e
     with make(engine=engine, types=["large_cylinder", "hook", "lateral_pinch"]) as env:
         names = set()
         for seed in (0, 1):
-            infos, _ = run(env, Other(env), seed=seed)
+            infos, _ = run(env, env.unwrapped.task.script(), seed=seed)
             assert infos[-1]["is_success"]
             assert infos[-1]["held"]
             assert (infos[-1]["kept"], infos[-1]["missed"]) == (1.0, "")
             assert not any(info["held"] for info in infos[:-1])
             names.add(infos[0]["type"])
         assert len(names) > 1
-        opened = Other(
+        opened = Changed(
             env,
-            change=lambda action, step: (
-                action if step < 60 else np.append(np.full(6, -1), action[6:])
-            ),
+            lambda action, step: action if step < 60 else np.append(np.full(6, -1), action[6:]),
         )
         (*_, last), _ = run(env, opened, seed=0)
         assert not last["is_success"]
@@ -86,8 +74,8 @@ def test_what_is_held_otherwise_than_the_type_asks_is_no_success():
         return np.where(np.isin(np.arange(12), [1, 4]), -1.0, action).astype(np.float32)
 
     with make(types="small_cylinder") as env:
-        (*_, lost), unpaid = run(env, Other(env, change=two_fingers), seed=1)
-        (*_, won), paid = run(env, Other(env), seed=1)
+        (*_, lost), unpaid = run(env, Changed(env, two_fingers), seed=1)
+        (*_, won), paid = run(env, env.unwrapped.task.script(), seed=1)
     assert won["is_success"]
     assert lost["held"]
     assert not lost["is_success"]
@@ -100,10 +88,8 @@ def test_what_is_held_otherwise_than_the_type_asks_is_no_success():
 def test_a_hand_that_arrives_in_the_object_fails_at_once(engine):
     with make(engine=engine, types="large_cylinder") as env:
         for deeper in (0.0, 0.35, 0.6):  # by so many times 65 mm
-            env.reset(seed=2)
-            action = Other(env).script
-            action.reset()
-            first = action.act(env.unwrapped.episodes.observe()[0])
+            observation, _ = env.reset(seed=2)
+            first = env.unwrapped.task.script().act(observation)
             first[6] -= deeper
             *_, terminated, _, info = env.step(first)
             assert terminated == (deeper > 0)
@@ -225,7 +211,7 @@ def test_contacts_are_looked_at_often_enough_to_judge_a_hold_and_no_oftener(monk
             "contacts",
             lambda world: looks.append(world) or look(world),
         )
-        infos, _ = run(env, Other(env), seed=0)
+        infos, _ = run(env, env.unwrapped.task.script(), seed=0)
     assert infos[-1]["is_success"]
     times = env.unwrapped.task.timetable.ends
     # The last one is of the grasp's quality.
@@ -243,7 +229,6 @@ class Behaviour(EpisodePolicy):
         path, step = memory or (None, 0)
         if path is None:
             script = self.task.script()
-            script.reset()
             path = [script.act(observation) for _ in range(64)]
         return np.asarray(self.behaves(path, step), np.float32), (path, step + 1)
 
