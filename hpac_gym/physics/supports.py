@@ -1,6 +1,7 @@
 """The boxes on which objects stand: posts, walls, the table, and the post of a target."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,27 +17,38 @@ SUPPORT_FRICTION = 0.8
 """Coulomb coefficient of posts, walls and table, to be multiplied by the object's."""
 TABLE_HALF_EXTENTS = (0.35, 0.35, 0.01)
 """Half-extents of the table along x, y and z [m]."""
-GREY = (0.55, 0.55, 0.58, 1.0)
-GREEN = (0.45, 0.62, 0.48, 1.0)
-WOOD = (0.78, 0.70, 0.58, 1.0)
-"""Colours of posts and walls, of the target's post and of the table, RGBA."""
-Placed = tuple[Array, Array]
-"""Half-extents of a box and its centre in the world, shapes (3,) [m]."""
+COLORS = {
+    "support": (0.55, 0.55, 0.58, 1.0),
+    "table": (0.78, 0.70, 0.58, 1.0),
+    "target": (0.45, 0.62, 0.48, 1.0),
+}
+"""Colours of posts and walls, of the table and of the target's post, RGBA."""
+
+
+@dataclass(frozen=True, slots=True)
+class SupportBox:
+    """A box that stands in the world."""
+
+    kind: str
+    """One of `COLORS`."""
+    half_extents: Array
+    """Shape (3,) [m]."""
+    centre: Array
+    """In the world, shape (3,) [m]."""
+    quaternion: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
+    """Orientation in the world, xyzw."""
 
 
 def support_boxes(
     setup: SceneSetup, matrix: Callable[[Sequence[float]], Array] = matrix_from_quaternion
-) -> tuple[list[Placed], Array, Placed | None, tuple[float, float, float, float]]:
-    """Boxes that support the object of a setup.
+) -> list[SupportBox]:
+    """Boxes that support the object of a setup: posts and walls, then the table, then the target's
+    post if there is a target.
 
     Args:
         setup: setup with an object that is not fixed.
         matrix: rotation matrix of a quaternion xyzw; an engine may pass its own, which rounds
             differently.
-
-    Returns:
-        Posts and walls; centre of the table, shape (3,) [m]; the target's post or None; quaternion
-        xyzw of posts and walls.
     """
     rotation = matrix(setup.hand_quaternion)
     centre = HAND_POSITION + rotation @ setup.position
@@ -47,11 +59,13 @@ def support_boxes(
     turned = matrix(turn)
     below = np.array([centre[0], centre[1], floor])
     boxes = [
-        (np.array(half), below + turned @ place)
+        SupportBox("support", np.array(half), below + turned @ place, turn)
         for half, place in support.boxes(centre[2] - reach - floor)
     ]
-    target = None
+    table = np.array(TABLE_HALF_EXTENTS)
+    boxes.append(SupportBox("table", table, below - [0.0, 0.0, table[2]]))
     if setup.target is not None:
         x, y, z = HAND_POSITION + rotation @ setup.target - [0.0, 0.0, reach]
-        target = np.array([TARGET_HALF_WIDTH, TARGET_HALF_WIDTH, z / 2]), np.array([x, y, z / 2])
-    return boxes, below - [0.0, 0.0, TABLE_HALF_EXTENTS[2]], target, turn
+        half = np.array([TARGET_HALF_WIDTH, TARGET_HALF_WIDTH, z / 2])
+        boxes.append(SupportBox("target", half, np.array([x, y, z / 2])))
+    return boxes

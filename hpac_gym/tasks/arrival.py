@@ -17,7 +17,7 @@ from hpac_gym.physics.engine import (
     SceneSetup,
     matrix_from_quaternion,
 )
-from hpac_gym.physics.supports import POST, TABLE_HALF_EXTENTS, support_boxes
+from hpac_gym.physics.supports import POST, support_boxes
 from hpac_gym.tasks.grasp_data import NamedGrasp
 from hpac_gym.tasks.grasp_setups import quaternion_from_rpy
 from hpac_gym.tasks.occlusion import SKIN, Skeleton
@@ -107,12 +107,9 @@ def in_the_way(setup: SceneSetup) -> bool:
         for ends in _SKELETON.segments(joint_pos[None], np.array([0]))
     )
     bones = first + np.linspace(0, 1, ALONG)[:, None, None] * (second - first)
-    boxes, table, _, turn = support_boxes(setup)
-    turned = (matrix_from_quaternion(turn), *(np.array(box) for box in zip(*boxes, strict=True)))
-    level = np.eye(3), np.array([TABLE_HALF_EXTENTS]), np.array([table])
-    for rotation, half, centre in (turned, level):
-        outside = np.abs((bones[:, :, None] - centre) @ rotation) - half
-        distance = np.linalg.norm(np.maximum(outside, 0.0), axis=-1)
-        if (distance < SKIN * _SKELETON.radius[0, :, None]).any():
+    for box in support_boxes(setup):
+        own = (bones - box.centre) @ matrix_from_quaternion(box.quaternion)
+        distance = np.linalg.norm(np.maximum(np.abs(own) - box.half_extents, 0.0), axis=-1)
+        if (distance < SKIN * _SKELETON.radius[0]).any():
             return True
     return False

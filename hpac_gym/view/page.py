@@ -25,7 +25,7 @@ from hpac_gym.model import (
 )
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import HAND_POSITION, SceneSetup, SceneState
-from hpac_gym.physics.supports import GREEN, GREY, TABLE_HALF_EXTENTS, WOOD, support_boxes
+from hpac_gym.physics.supports import COLORS, support_boxes
 from hpac_gym.view.meshes import Links, add_mesh, moved, object_meshes, solid
 
 GHOSTS = {
@@ -158,19 +158,10 @@ class HandPage:
         self._object = self._server.scene.add_frame("/scene/object", show_axes=False)
         for index, (mesh, color) in enumerate(object_meshes(setup.object)):
             add_mesh(self._server, f"/scene/object/{index}", mesh, color)
-        if not self._supports:
-            return
-        boxes, table, target, (x, y, z, w) = support_boxes(setup)
-        turn = Rotation.from_quat((x, y, z, w))
-        for index, (half, place) in enumerate(boxes):
-            box = moved(solid("box", half), place, turn)
-            add_mesh(self._server, f"/scene/support/{index}", box, GREY)
-        top = moved(solid("box", TABLE_HALF_EXTENTS), table)
-        add_mesh(self._server, "/scene/support/table", top, WOOD)
-        if target is not None:
-            half, place = target
-            post = moved(solid("box", half), place)
-            add_mesh(self._server, "/scene/support/target", post, GREEN)
+        for index, box in enumerate(support_boxes(setup) if self._supports else ()):
+            turn = Rotation.from_quat(box.quaternion)
+            mesh = moved(solid("box", box.half_extents), box.centre, turn)
+            add_mesh(self._server, f"/scene/support/{index}", mesh, COLORS[box.kind])
 
     # Controls -----------------------------------------------------------------------------
 

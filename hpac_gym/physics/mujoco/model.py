@@ -23,7 +23,7 @@ from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import HAND_POSITION, PARTS, SceneSetup
 from hpac_gym.physics.mjcf import fixed_tendons, hand_mjcf
 from hpac_gym.physics.settings import HandSettings, WorldSettings
-from hpac_gym.physics.supports import GREEN, GREY, POST, TABLE_HALF_EXTENTS, WOOD
+from hpac_gym.physics.supports import COLORS, POST
 
 SLOTS = 8
 """Largest number of contacts per part of the hand whose forces are summed, strongest first."""
@@ -196,21 +196,17 @@ def size_of(kind: str, x: float, y: float, z: float) -> tuple[tuple[float, float
 
 
 def _add_supports(world: Xml.Element, layout: Layout) -> None:
-    support = Xml.SubElement(world, "body", name="support")
-    small = (0.02, 0.02, 0.02)
-    boxes = [(support, f"support_{index}", GREY, small) for index in range(layout.boxes)]
-    boxes.append((support, "table", WOOD, TABLE_HALF_EXTENTS))
-    if layout.target:
-        boxes.append((Xml.SubElement(world, "body", name="target"), "target", GREEN, small))
-    for body, name, color, size in boxes:
+    body = Xml.SubElement(world, "body", name="support")
+    for kind in ["support"] * layout.boxes + ["table"] + ["target"] * layout.target:
+        if kind == "target":
+            body = Xml.SubElement(world, "body", name="target")
         Xml.SubElement(
             body,
             "geom",
             {"class": "body"},
-            name=name,
             type="box",
-            size=exact_text(size),
-            rgba=exact_text(color),
+            size="0.02 0.02 0.02",
+            rgba=exact_text(COLORS[kind]),
             priority="2",
         )
 

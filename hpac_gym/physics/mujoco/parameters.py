@@ -166,22 +166,16 @@ class Parameters:
             fields["body_pos"][body], fields["body_quat"][body] = np.split(object_pose(setup), [3])
 
     def _set_supports(self, world: int, setup: SceneSetup) -> None:
-        boxes, table, target, (x, y, z, w) = support_boxes(setup)
         fields = self.fields
         ids = self._at.boxes
-        for geom, (half, centre) in zip(ids, boxes, strict=False):
-            self._set_box(world, geom, half, centre)
+        for geom, box in zip(ids, support_boxes(setup), strict=True):
+            half = box.half_extents
+            x, y, z, w = box.quaternion
+            fields["geom_size"][world, geom] = fields["geom_aabb"][world, geom, 3:] = half
+            fields["geom_rbound"][world, geom] = math.hypot(*half)
+            fields["geom_pos"][world, geom] = box.centre
             fields["geom_quat"][world, geom] = w, x, y, z
-        fields["geom_pos"][world, ids[len(boxes)]] = table
-        if target is not None:
-            self._set_box(world, ids[-1], *target)
         fields["geom_friction"][world, ids, 0] = SUPPORT_FRICTION * setup.object.friction
-
-    def _set_box(self, world: int, geom: int, half: Array, centre: Array) -> None:
-        fields = self.fields
-        fields["geom_size"][world, geom] = fields["geom_aabb"][world, geom, 3:] = half
-        fields["geom_rbound"][world, geom] = math.hypot(*half)
-        fields["geom_pos"][world, geom] = centre
 
 
 def object_pose(setup: SceneSetup) -> Array:

@@ -11,13 +11,7 @@ from hpac_gym.physics.pybullet.hand import SimHand
 from hpac_gym.physics.pybullet.objects import SimObject, add_fixed_box
 from hpac_gym.physics.pybullet.world import World
 from hpac_gym.physics.settings import WorldSettings
-from hpac_gym.physics.supports import (
-    GREEN,
-    GREY,
-    TABLE_HALF_EXTENTS,
-    WOOD,
-    support_boxes,
-)
+from hpac_gym.physics.supports import COLORS, support_boxes
 
 _EPISODES = 200
 """Number of episodes after which the hand is loaded again."""
@@ -147,8 +141,12 @@ class Scene:
             pybullet.changeDynamics(
                 self.object.body, -1, spinningFriction=spinning, physicsClientId=self.world.client
             )
-        if not setup.fixed:
-            self._add_supports(setup)
+        for box in () if setup.fixed else support_boxes(setup, matrix):
+            body = add_fixed_box(
+                self.world, box.half_extents, box.centre, COLORS[box.kind], box.quaternion
+            )
+            if box.kind == "target":
+                self.target_post = body
 
     def _staged(self, setup: SceneSetup) -> Stage:
         """The stage of a setup: the one whose hand starts so, a new one, or that not used for
@@ -160,15 +158,6 @@ class Scene:
         oldest = next(iter(self._stages))
         self._stages[start] = self._stages.pop(start if start in self._stages else oldest)
         return self._stages[start]
-
-    def _add_supports(self, setup: SceneSetup) -> None:
-        """Add posts and walls, the table, and the target's post."""
-        boxes, table, target, turn = support_boxes(setup, matrix)
-        for box in boxes:
-            add_fixed_box(self.world, *box, GREY, turn)
-        add_fixed_box(self.world, TABLE_HALF_EXTENTS, table, WOOD)
-        if target is not None:
-            self.target_post = add_fixed_box(self.world, *target, GREEN)
 
     def advance(
         self,
