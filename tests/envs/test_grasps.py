@@ -11,6 +11,7 @@ import pytest
 from hpac_gym.envs import GRASPS
 from hpac_gym.evaluation.evaluate import run_block
 from hpac_gym.physics.engine import PARTS
+from hpac_gym.tasks.scripted import Script
 from tests.envs.episodes import run, steps
 
 ID = "HPAC-Grasp-v0"
@@ -38,13 +39,11 @@ HOLDING = {
 """What the texts of the grasps say that holds the object."""
 
 
-class Wild:
+class Wild(Script):
     """Random actions."""
 
     def __init__(self, seed: int) -> None:
         self._rng = np.random.default_rng([seed, 1])
-
-    def reset(self) -> None: ...
 
     def act(self, observation):
         return self._rng.uniform(-1, 1, 6).astype(np.float32)

@@ -236,12 +236,9 @@ def test_there_is_one_start_for_all_types():
         start = GRASP_TYPES[setup.grasp].start
         assert np.abs(setup.position - START).max() <= max(start.position_noise)
         height = 0.25 + (setup.hand_rotation @ setup.position)[2] - setup.support.table_height
-        own = 0.25 + (rotation_of(start) @ start.position)[2] - start.support.table_height
+        turn = matrix_from_quaternion(quaternion_from_rpy(start.hand_rpy))
+        own = 0.25 + (turn @ start.position)[2] - start.support.table_height
         assert abs(height - own) <= 1.8 * max(start.position_noise)
-
-
-def rotation_of(start) -> np.ndarray:
-    return matrix_from_quaternion(quaternion_from_rpy(start.hand_rpy))
 
 
 @pytest.mark.parametrize("name", NAMES)

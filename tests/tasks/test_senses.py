@@ -225,7 +225,6 @@ def test_a_servo_tells_its_load_in_steps_now_and_then_with_its_error():
 
 def test_a_horn_stays_behind_by_its_servos_share_of_the_stretch_and_by_all_beyond_its_stall():
     setup = ball(0.06)
-    eyes = senses(setup, servos=ServoSenses(horn_step=1e-9))
     state = state_of(setup, OPEN)
     digit = HPAC.digits["index"]
     radius = digit.servo_radius
