@@ -136,7 +136,7 @@ def test_an_episode_is_the_same_to_the_bit_after_others_and_beside_others(name, 
         ("pybullet", "pybullet.createMultiBody", 1),
     ],
 )
-def test_a_reset_that_was_interrupted_leaves_nothing_behind(name, call, seed, monkeypatch):
+def test_a_reset_that_was_interrupted_leaves_nothing_behind(name, call, seed, begun, monkeypatch):
     """By Ctrl-C, which Python notices when a call of C code returns; the setup that was interrupted
     comes again, or that before it, with a stiffer hand or with another one.
     """
@@ -144,7 +144,7 @@ def test_a_reset_that_was_interrupted_leaves_nothing_behind(name, call, seed, mo
     other = with_a_hand(start, seed)
     stiff = 2 * other.hand.cmc_stiffness
     other = dataclasses.replace(other, hand=dataclasses.replace(other.hand, cmc_stiffness=stiff))
-    simulation = Simulation(make_engine(name, 2))
+    simulation = begun(name, start, start)
     function = pkgutil.resolve_name(call)
 
     def interrupted(*given, **more):
@@ -163,13 +163,11 @@ def test_a_reset_that_was_interrupted_leaves_nothing_behind(name, call, seed, mo
             advance(simulation, episodes)
         for episode in episodes:
             assert episode.digest.hexdigest() == digest_alone(name, episode.start, 0, 8)
-    simulation.engine.close()
 
 
 @engines
-def test_the_tables_move_servos_and_wrist_and_the_hand_alone_stays_where_it_is(name):
-    engine = make_engine(name, 2)
-    engine.reset([0, 1], [setup(None, 0), Posture().setup(np.random.default_rng(0))])
+def test_the_tables_move_servos_and_wrist_and_the_hand_alone_stays_where_it_is(name, begun):
+    engine = begun(name, setup(None, 0), Posture().setup(np.random.default_rng(0))).engine
     wrist = np.linspace(0.0, 0.03, 30)[:, None] * [0.0, 0.5, 1.0]
     servo = np.tile(servo_from_synergy([0, 0.3, 0, 0, 0, 1.2]), (2, 30, 1))
     engine.advance(servo, np.zeros_like(servo), np.array([wrist, wrist]))
@@ -183,20 +181,18 @@ def test_the_tables_move_servos_and_wrist_and_the_hand_alone_stays_where_it_is(n
     assert (state.joint_pos[:, JOINTS.index("index_mcp")] > 0.1).all()
     assert not state.touching[1].any()
     assert state.supported.tolist() == [True, False]
-    engine.close()
-    engine.close()
+    engine.close()  # and once more after the test
 
 
 @engines
 @pytest.mark.parametrize("effort", [None, 100.0])
-def test_the_wrist_pushes_against_an_obstacle_with_its_force(name, effort):
+def test_the_wrist_pushes_against_an_obstacle_with_its_force(name, effort, begun):
     """The palm moves 20 mm into a fixed box. The limit is 200 N in PyBullet and, unless it is set,
     none in MuJoCo.
     """
-    simulation = Simulation(make_engine(name, settings=WorldSettings(wrist_effort=effort)))
     box = ObjectSpec("box", (0.02, 0.015, 0.015), 1.0, 0.8)
     start = SceneSetup(box, np.array([0.0425, -0.02, 0.05]), fixed=True)
-    simulation.reset([0], [start])
+    simulation = begun(name, start, settings=WorldSettings(wrist_effort=effort))
     way = np.append(np.linspace(0.0, 0.03, 60), np.full(60, 0.03))
     simulation.advance((way[:, None] * start.hand_rotation[:, 0])[None])
     (force,) = simulation.state().contact_force[:, PARTS.index("palm")]
@@ -204,13 +200,11 @@ def test_the_wrist_pushes_against_an_obstacle_with_its_force(name, effort):
         assert force > 1e4
     else:
         assert force == pytest.approx(effort or WRIST_EFFORT, rel=0.01)
-    simulation.engine.close()
 
 
 @engines
-def test_a_state_is_not_changed_by_what_comes_after_it(name):
-    simulation = Simulation(make_engine(name))
-    simulation.reset([0], [setup(None, 1)])
+def test_a_state_is_not_changed_by_what_comes_after_it(name, begun):
+    simulation = begun(name, setup(None, 1))
     first = simulation.state()
     kept = {field.name: getattr(first, field.name).copy() for field in dataclasses.fields(first)}
     simulation.command(servo_from_synergy(CLOSED)[None], 0.4)
@@ -218,22 +212,19 @@ def test_a_state_is_not_changed_by_what_comes_after_it(name):
     simulation.state()
     for field, value in kept.items():
         np.testing.assert_array_equal(getattr(first, field), value)
-    simulation.engine.close()
 
 
 @engines
-def test_a_new_episode_has_no_forces_of_the_one_before(name):
-    simulation = Simulation(make_engine(name, 2))
-    simulation.engine.every_step = True
+def test_a_new_episode_has_no_forces_of_the_one_before(name, begun):
     start = setup(None, 1)
-    simulation.reset([0, 1], [start] * 2)
+    simulation = begun(name, start, start)
+    simulation.engine.every_step = True
     simulation.command(np.tile(servo_from_synergy(CLOSED), (2, 1)), 0.4)
     simulation.rest(0.8)
     before = simulation.state().force_steps
     simulation.reset([1], [start])
     np.testing.assert_array_equal(simulation.state().force_steps, before * [[1.0], [0.0]])
     assert before.max(axis=1).min() > 1.0
-    simulation.engine.close()
 
 
 @engines
@@ -242,13 +233,11 @@ def test_a_new_episode_has_no_forces_of_the_one_before(name):
     [(None, 0.5), ("screwdriver", 0.2)],
     ids=["of a primitive", "of one with its mass beside its centre"],
 )
-def test_velocity_and_spin_are_the_rates_of_place_and_rotation(name, grasp, begin):
+def test_velocity_and_spin_are_the_rates_of_place_and_rotation(name, grasp, begin, begun):
     """Of an object that a closing hand pushes, along the axes of the hand frame, over one physics
     step.
     """
-    simulation = Simulation(make_engine(name))
-    start = setup(grasp, 3)
-    simulation.reset([0], [start])
+    simulation = begun(name, setup(grasp, 3))
     simulation.command(servo_from_synergy(CLOSED)[None], 0.4)
     simulation.rest(begin)
     moved = turned = 0.0
@@ -269,48 +258,45 @@ def test_velocity_and_spin_are_the_rates_of_place_and_rotation(name, grasp, begi
         turned = max(turned, np.abs(spin).max())
     assert moved > 0.02
     assert turned > 0.1
-    simulation.engine.close()
 
 
 @engines
-def test_the_brake_of_a_slack_drive_is_no_tension(name):
+def test_the_brake_of_a_slack_drive_is_no_tension(name, begun):
     """Fingers that overrun their servos, which stop halfway."""
-    simulation = Simulation(make_engine(name))
-    simulation.reset([0], [SceneSetup(None)])
+    simulation = begun(name, SceneSetup(None))
     simulation.command(servo_from_synergy(HPAC.synergy_max / 2)[None], 0.1)
     lowest = []
     for _ in range(40):
         simulation.rest(simulation.engine.dt)
         lowest.append(simulation.state().tension.min())
     assert min(lowest) == 0.0
-    simulation.engine.close()
 
 
 @engines
-def test_a_joint_stops_at_the_workspace_of_its_hand(name):
+def test_a_joint_stops_at_the_workspace_of_its_hand(name, begun):
     """Of hands that follow each other in one world: a narrower one, the nominal one, the narrower."""
     joint = JOINTS.index("index_mcp")
     narrow = dataclasses.replace(HPAC, workspace={**HPAC.workspace, "index_mcp": (0.0, 0.8)})
-    simulation = Simulation(make_engine(name))
+    simulation = begun(name, SceneSetup(None, hand=narrow))
     for hand in (narrow, HPAC, narrow):
         simulation.reset([0], [SceneSetup(None, hand=hand)])
         simulation.command(HPAC.servo_max[None], 0.4)
         simulation.rest(1.0)
         stop = hand.joint_max[joint]
         assert simulation.state().joint_pos[0, joint] == pytest.approx(stop, abs=0.02)
-    simulation.engine.close()
 
 
 @engines
 @pytest.mark.parametrize("model", [None, "hexagonal_screwdriver", "scissors"])
-def test_a_push_at_the_centre_of_mass_accelerates_by_force_over_mass_and_turns_nothing(name, model):
+def test_a_push_at_the_centre_of_mass_accelerates_by_force_over_mass_and_turns_nothing(
+    name, model, begun
+):
     """Without weight, in the air: pushed all the time, in the first half of it, and not at all."""
     # Larger than the named ones, whose post is that far below.
     spec = ObjectSpec("box", (0.12, 0.12, 0.12), 0.2, 0.8, model)
     start = SceneSetup(spec, np.array([0.4, 0.4, 0.4]), 0.3)
-    engine = make_engine(name, 3, WorldSettings(gravity=0.0))
+    engine = begun(name, start, start, start, settings=WorldSettings(gravity=0.0)).engine
     steps = 24
-    engine.reset(range(3), [start] * 3)
     servo = np.zeros((3, steps, 6))
     push = np.zeros((3, steps, 3))
     push[0] = [3.0, -2.0, 4.0]
@@ -324,7 +310,6 @@ def test_a_push_at_the_centre_of_mass_accelerates_by_force_over_mass_and_turns_n
         )
         np.testing.assert_allclose(state.object_spin, 0.0, atol=1e-6)
         engine.advance(servo, servo, np.zeros((3, steps, 3)))  # a push ends with its table
-    engine.close()
 
 
 @engines
@@ -364,9 +349,8 @@ def test_no_push_and_a_push_of_nothing_are_the_same_bits(name):
 
 
 @engines
-def test_a_snapshot_keeps_the_pushes_though_their_array_is_used_again(name):
-    engine = make_engine(name)
-    engine.reset([0], [setup(None, 3)])
+def test_a_snapshot_keeps_the_pushes_though_their_array_is_used_again(name, begun):
+    engine = begun(name, setup(None, 3)).engine
     servo = np.zeros((1, STEPS, 6))
     push = np.full((1, STEPS, 3), 2.0)
     engine.advance(servo, servo, np.zeros((1, STEPS, 3)), push)
@@ -376,14 +360,12 @@ def test_a_snapshot_keeps_the_pushes_though_their_array_is_used_again(name):
     engine.restore(0, snapshot)
     np.testing.assert_array_equal(engine.state().object_vel, seen.object_vel)
     assert np.abs(seen.object_vel).max() > 0.1
-    engine.close()
 
 
 @engines
-def test_contacts_are_those_of_the_state_and_push_into_the_object(name):
-    simulation = Simulation(make_engine(name))
+def test_contacts_are_those_of_the_state_and_push_into_the_object(name, begun):
     start = setup("large_cylinder", 0)
-    simulation.reset([0], [start])
+    simulation = begun(name, start)
     simulation.command(servo_from_synergy(Grasp(grasp="large_cylinder").grasp.closed)[None], 0.8)
     simulation.rest(1.2)
     state = simulation.state()
@@ -404,17 +386,15 @@ def test_contacts_are_those_of_the_state_and_push_into_the_object(name):
     inward[:, 2] = 0.0  # to the axis of the standing can
     assert (np.einsum("ij,ij->i", inward, contacts.normal) > 0).all()
     assert contacts.friction == pytest.approx(0.9 * start.object.friction)
-    simulation.engine.close()
 
 
 @pytest.mark.pybullet
-def test_a_point_of_contact_in_pybullet_is_on_the_object_and_not_on_the_skin_inside_of_it():
+def test_a_point_of_contact_in_pybullet_is_on_the_object_and_not_on_the_skin_inside_of_it(begun):
     """The skin is 1e-5 m inside of a can that it squeezes."""
     can = ObjectSpec("cylinder", (0.027, 0.027, 0.05), mass=0.15, friction=0.9)
-    simulation = Simulation(make_engine("pybullet"))
     opposed = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.2])
     start = SceneSetup(can, np.array([0.048, 0.004, 0.112]), synergy=opposed)
-    simulation.reset([0], [start])
+    simulation = begun("pybullet", start)
     simulation.command(servo_from_synergy(CLOSED)[None], 0.8)
     simulation.rest(1.2)
     contacts = simulation.engine.contacts(0)
@@ -423,28 +403,24 @@ def test_a_point_of_contact_in_pybullet_is_on_the_object_and_not_on_the_skin_ins
     assert len(place) >= 3
     # A contact that lasts stays where it began: few are further off.
     assert np.median(np.abs(np.hypot(place[:, 0], place[:, 1]) - 0.027)) < 3e-6
-    simulation.engine.close()
 
 
 @pytest.mark.pybullet
-def test_a_failed_simulation_in_pybullet_names_its_world():
-    engine = make_engine("pybullet", 3)
-    engine.reset(range(3), [setup(None, seed) for seed in range(3)])
+def test_a_failed_simulation_in_pybullet_names_its_world(begun):
+    engine = begun("pybullet", *(setup(None, seed) for seed in range(3))).engine
     servo = np.zeros((3, STEPS, 6))
     servo[1] = np.nan
     engine.advance(servo, np.zeros_like(servo), np.zeros((3, STEPS, 3)))
     with pytest.raises(PhysicsError, match=r"world 1 of 3: joint angles .* are not finite"):
         engine.state()
-    engine.close()
 
 
 @engines
-def test_a_simulation_has_the_servos_of_each_world(name):
+def test_a_simulation_has_the_servos_of_each_world(name, begun):
     """A world whose servos are slow lags behind one whose servos are not."""
-    simulation = Simulation(make_engine(name, 2))
     start = PickPlace().setup(np.random.default_rng(0))
     slow = dataclasses.replace(start, hand_settings=HandSettings(servo=ServoSettings(speed=0.5)))
-    simulation.reset([0, 1], [start, slow])
+    simulation = begun(name, start, slow)
     np.testing.assert_allclose(
         simulation.state().horn, servo_from_synergy(start.synergy)[None].repeat(2, axis=0)
     )
@@ -453,7 +429,6 @@ def test_a_simulation_has_the_servos_of_each_world(name):
     horn = simulation.state().horn
     assert (horn[0, :5] > 1.2).all()
     np.testing.assert_allclose(horn[1, :5], 0.1, atol=1e-9)
-    simulation.engine.close()
 
 
 def test_an_engine_is_asked_for_by_name():

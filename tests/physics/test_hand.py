@@ -21,7 +21,7 @@ from hpac_gym.physics.engine import SceneSetup
 from hpac_gym.physics.pybullet.scene import Scene
 from hpac_gym.physics.pybullet.world import quiet_output
 from hpac_gym.physics.settings import BODIES, HandSettings, WorldSettings
-from hpac_gym.physics.simulation import Simulation, make_engine
+from hpac_gym.physics.simulation import make_engine
 from hpac_gym.tasks.grasp import Grasp
 from hpac_gym.tasks.grasp_any import GraspAny
 
@@ -37,20 +37,21 @@ def scene():
     made.close()
 
 
-def settled(setup: SceneSetup, synergy: np.ndarray) -> np.ndarray:
-    """The joints 3 s after a command, in free space, shape (15,) [rad]."""
-    simulation = Simulation(make_engine("pybullet", settings=FREE))
-    simulation.reset([0], [setup])
-    simulation.command(servo_from_synergy(synergy)[None], 0.4)
-    simulation.rest(3.0)
-    joints = simulation.state().joint_pos[0]
-    simulation.engine.close()
+@pytest.fixture
+def opened(begun):
+    """The joints 3 s after a hand is told to open, in free space, shape (15,) [deg]."""
+
+    def joints(setup: SceneSetup) -> np.ndarray:
+        simulation = begun("pybullet", setup, settings=FREE)
+        simulation.command(servo_from_synergy(np.zeros(6))[None], 0.4)
+        simulation.rest(3.0)
+        return np.degrees(simulation.state().joint_pos[0])
+
     return joints
 
 
-def test_the_hand_opens_by_its_springs():
-    closed = SceneSetup(None, synergy=0.9 * HPAC.synergy_max)
-    assert np.degrees(settled(closed, np.zeros(6))).max() < 0.5
+def test_the_hand_opens_by_its_springs(opened):
+    assert opened(SceneSetup(None, synergy=0.9 * HPAC.synergy_max)).max() < 0.5
 
 
 def test_output_comes_back_after_two_threads_silenced_it():
@@ -73,15 +74,14 @@ def test_output_comes_back_after_two_threads_silenced_it():
     assert [os.fstat(descriptor).st_ino for descriptor in (1, 2)] == before
 
 
-def test_joint_friction_holds_a_finger_that_is_let_go():
+def test_joint_friction_holds_a_finger_that_is_let_go(opened):
     """10 mN·m of Coulomb friction in each joint stops it where the spring pulls less: 0.01/(k_s R
     ΣR q/q) = 0.3 rad.
     """
     setup = SceneSetup(
         None, synergy=0.5 * HPAC.synergy_max, hand_settings=HandSettings(joint_friction=0.01)
     )
-    left = np.degrees(settled(setup, np.zeros(6))[JOINT_INDEX["index_mcp"]])
-    assert 5.0 < left < 17.0
+    assert 5.0 < opened(setup)[JOINT_INDEX["index_mcp"]] < 17.0
 
 
 def test_no_joint_has_a_motor(scene):

@@ -24,7 +24,7 @@ from hpac_gym.physics.engine import SceneSetup
 from hpac_gym.physics.mechanics import mass_matrix
 from hpac_gym.physics.mujoco.engine import MuJoCoEngine
 from hpac_gym.physics.settings import BODIES, HandSettings, WorldSettings
-from hpac_gym.physics.simulation import ENGINES, SET_UPS, Simulation, make_engine
+from hpac_gym.physics.simulation import ENGINES, SET_UPS, make_engine
 from hpac_gym.tasks.grasp import Grasp
 
 ALL = hand_set("train") + hand_set("test")
@@ -128,12 +128,11 @@ def test_mujoco_loads_the_links_of_every_hand(every_hand):
 
 @pytest.mark.pybullet
 @pytest.mark.parametrize("variant", [ALL[0], ALL[13], ALL[35]], ids=lambda variant: variant.name)
-def test_pybullet_loads_the_links_of_a_hand(variant):
+def test_pybullet_loads_the_links_of_a_hand(variant, begun):
     import pybullet
 
-    engine = make_engine("pybullet")
-    for other in (ALL[5], variant):
-        engine.reset([0], [empty(other)])
+    engine = begun("pybullet", empty(ALL[5])).engine
+    engine.reset([0], [empty(variant)])
     hand = engine.scenes[0].hand
     client = engine.scenes[0].world.client
     for phalanx in variant.geometry.phalanges:
@@ -150,7 +149,6 @@ def test_pybullet_loads_the_links_of_a_hand(variant):
             )
             # From the parent's middle.
             assert frame[2] == pytest.approx(parent.length - parent.capsule.end[2] / 2, rel=1e-6)
-    engine.close()
 
 
 def test_no_hand_touches_itself_at_the_start_wherever_the_thumb_is(every_hand):
@@ -177,7 +175,7 @@ def test_free_space_keeps_to_equations_12_and_13_of_the_hand_itself(engine, body
 
 @engines
 def test_a_dead_digit_does_not_pull_a_weak_one_pulls_its_share_and_a_servo_zero_moves_the_hand(
-    engine,
+    engine, begun
 ):
     """Closing on a can; the fourth hand is empty, and its servos' commands know nothing of their
     zeros.
@@ -192,8 +190,7 @@ def test_a_dead_digit_does_not_pull_a_weak_one_pulls_its_share_and_a_servo_zero_
     ]
     starts = [dataclasses.replace(plain, hand_settings=settings) for settings in broken]
     shifted = dataclasses.replace(empty, hand_settings=HandSettings(servo_zero=zero))
-    simulation = Simulation(make_engine(engine, 4))
-    simulation.reset(range(4), [*starts, shifted])
+    simulation = begun(engine, *starts, shifted)
     first = simulation.state()
     servo = servo_from_synergy(empty.synergy)
     np.testing.assert_allclose(first.horn[3], servo + zero)
@@ -213,4 +210,3 @@ def test_a_dead_digit_does_not_pull_a_weak_one_pulls_its_share_and_a_servo_zero_
     assert (state.tension[1:3, middle] <= np.array([0.0, 16.0]) + 1e-9).all()
     assert state.joint_pos[1, JOINT_INDEX["middle_mcp"]] < 0.35
     assert state.joint_pos[0, JOINT_INDEX["middle_mcp"]] > 0.5
-    simulation.engine.close()
