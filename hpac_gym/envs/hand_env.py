@@ -58,7 +58,6 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self.hand = chosen.hand
         self.model = chosen.model
         self.obs = chosen.obs
-        self._reward = chosen.reward
         self._episodes: Episodes | None = Episodes(task, 1, chosen, transmit, physics)
         self.observation_space = self._episodes.observations.space
         self.action_space = self._episodes.action_space
@@ -220,16 +219,24 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self._running = False
 
 
-class GoalEnv(HandEnv):
-    """`HandEnv` of a task with goals, which are joint angles, shape (..., 15) [rad], with the
-    functions that hindsight replay needs.
+class GoalRewards:
+    """The functions that hindsight replay needs of a task with goals, which are joint angles, shape
+    (..., 15) [rad].
+
+    Args:
+        task: the task.
+        reward: "dense" or "sparse".
     """
+
+    def __init__(self, task: Task, reward: str) -> None:
+        self._task = task
+        self._dense = reward == "dense"
 
     def compute_reward(
         self, achieved_goal: NDArray, desired_goal: NDArray, info: Any
     ) -> NDArray[np.float64]:
         """Reward of achieved postures for given goals; `info` is ignored."""
-        return self.task.goal_reward(achieved_goal, desired_goal, self._reward == "dense")
+        return self._task.goal_reward(achieved_goal, desired_goal, self._dense)
 
     def compute_terminated(
         self, achieved_goal: NDArray, desired_goal: NDArray, info: Any
@@ -240,3 +247,16 @@ class GoalEnv(HandEnv):
         )[()]
 
     compute_truncated = compute_terminated
+
+
+class GoalEnv(HandEnv):
+    """`HandEnv` of a task with goals: its `compute_reward`, `compute_terminated` and
+    `compute_truncated` are those of `GoalRewards`.
+    """
+
+    def __init__(self, task: Task, *given: Any, **options: Any) -> None:
+        super().__init__(task, *given, **options)
+        goals = GoalRewards(task, self.episodes.options.reward)
+        self.compute_reward = goals.compute_reward
+        self.compute_terminated = goals.compute_terminated
+        self.compute_truncated = goals.compute_truncated

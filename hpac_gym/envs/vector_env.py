@@ -10,7 +10,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from hpac_gym.envs.episodes import CONTROL_HZ, Episodes, open_episodes
-from hpac_gym.envs.hand_env import GoalEnv, HandEnv
+from hpac_gym.envs.hand_env import GoalRewards, HandEnv
 from hpac_gym.envs.options import RENDER_MODES, check_number, checked_options, setups_of
 from hpac_gym.envs.randomization import randomization
 from hpac_gym.envs.vector_infos import (
@@ -106,8 +106,8 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         self.hand = chosen.hand
         self.model = chosen.model
         self.obs = chosen.obs
-        self._reward = chosen.reward
         self._episodes = Episodes(task, num_envs, chosen, engine=physics)
+        self._goals = GoalRewards(task, chosen.reward) if task.goal_terms else None
         self.dt = self._episodes.dt
         self.slices = self._episodes.observations.slices
         self.single_action_space = self._episodes.action_space
@@ -252,12 +252,12 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         Raises:
             AttributeError: Any other name.
         """
-        methods = METHODS if self.task.goal_terms else METHODS[:1]
+        methods = METHODS if self._goals else METHODS[:1]
         require("call", name, *methods, *ATTRIBUTES)
         if name == "render":
             return self.render() or (None,) * self.num_envs
-        if name in methods:  # they need nothing but the task and the kind of reward
-            return (getattr(GoalEnv, name)(self, *args, **kwargs),) * self.num_envs
+        if name in methods:
+            return (getattr(self._goals, name)(*args, **kwargs),) * self.num_envs
         return self.get_attr(name)
 
     def close_extras(self, **_: Any) -> None:
