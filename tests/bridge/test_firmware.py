@@ -78,6 +78,10 @@ def test_programs_that_start_together_compile_without_harm(sources):
             "'cc' cannot compile hpac_host: core/hpac_ramp.c:1",
         ),
         (lambda folder, m: shutil.rmtree(folder / "core"), "run `make firmware` in a checkout"),
+        (
+            lambda folder, m: m.setenv(BUILD_VARIABLE, str(folder)),
+            "run `make firmware` in a checkout, or unset HPAC_FIRMWARE_BUILD",
+        ),
     ],
 )
 def test_what_cannot_be_compiled_is_one_line(sources, monkeypatch, capsys, break_it, says):

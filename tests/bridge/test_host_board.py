@@ -1,6 +1,5 @@
 """HandLink against the firmware as a process: real pseudo-terminal, real clock, pyserial."""
 
-import io
 import math
 import os
 import signal
@@ -9,13 +8,13 @@ import sys
 import tempfile
 import threading
 import time
+from types import SimpleNamespace
+from unittest.mock import Mock, call
 
 import numpy as np
 import pytest
-import serial
 
 from hpac_gym.bridge import (
-    FirmwareMissing,
     HandLink,
     HandshakeError,
     HostBoard,
@@ -57,28 +56,20 @@ def test_pulse_changes_tell_the_whole_move(host_board):
     np.testing.assert_allclose(servo_from_pulses(changes[-1, 1:]), POSE, atol=1e-4)
 
 
-class Late:
-    """A log to which a change comes when it has been read."""
+def test_a_change_that_comes_while_the_log_begins_anew_is_told(host_board, monkeypatch):
+    log = host_board._log
+    late = [b"9,1,2,3,4,5,6\n"]
 
-    def __init__(self, log, change):
-        self._log = log
-        self._change = change
-
-    def __getattr__(self, name):
-        return getattr(self._log, name)
-
-    def read(self):
-        read = self._log.read()
-        os.pwrite(self._log.fileno(), self._change, self._log.tell())
-        self._change = b""
+    def read():
+        read = log.read()
+        if late:
+            os.pwrite(log.fileno(), late.pop(), log.tell())
         return read
 
-
-def test_a_change_that_comes_while_the_log_begins_anew_is_told(host_board, monkeypatch):
     monkeypatch.setattr("hpac_gym.bridge.hands._LONGEST_LOG", 0)
     with HandLink(host_board.connect) as link:
         link.arm(watchdog=2.0)
-        host_board._log = Late(host_board._log, b"9,1,2,3,4,5,6\n")
+        host_board._log = Mock(wraps=log, read=read)
         assert host_board.pulses().min() > 6
         np.testing.assert_array_equal(host_board.pulses(), range(1, 7))
     assert host_board._read_to == 0
@@ -136,29 +127,15 @@ def _alive(pid):
         return stat.read().split(")")[-1].split()[0] != "Z"
 
 
-def test_a_board_that_does_not_end_is_killed_after_a_second(monkeypatch):
-    ends = []
-
-    class Stuck:
-        stdout = io.StringIO()
-
-        def terminate(self):
-            ends.append("terminate")
-
-        def kill(self):
-            ends.append("kill")
-
-        def wait(self, timeout=None):
-            ends.append(timeout)
-            if timeout is not None:
-                raise subprocess.TimeoutExpired("hpac_host", timeout)
-
+def test_a_board_that_does_not_end_is_killed_after_a_second():
+    stuck = Mock()
+    stuck.wait.side_effect = [subprocess.TimeoutExpired("hpac_host", 1.0), None]
     with HostBoard() as board:
         process = board.process
-        board.process = Stuck()
+        board.process = stuck
         board.__exit__()
-        assert ends == ["terminate", 1.0, "kill", None]
-        assert Stuck.stdout.closed
+        ends = [call.terminate(), call.wait(1.0), call.kill(), call.wait(), call.stdout.close()]
+        assert stuck.mock_calls == ends
         board.process = process
 
 
@@ -184,32 +161,20 @@ def test_a_board_leaves_no_folder_behind_even_if_its_program_does_not_start(monk
     assert list(tmp_path.iterdir()) == [not_executable]
 
 
-def test_a_missing_build_says_how_to_make_it(monkeypatch, tmp_path):
-    monkeypatch.setenv(BUILD_VARIABLE, str(tmp_path))
-    with pytest.raises(FirmwareMissing, match="make firmware"):
-        HostBoard().__enter__()
-
-
 def test_a_replugged_board_is_found_again_and_not_armed():
-    boards = [HostBoard().__enter__()]
-    link = HandLink(lambda: boards[-1].connect())
-    try:
+    link = HandLink(lambda: board.connect())
+    with HostBoard() as board:
         link.connect()
         link.arm(watchdog=2.0)
-        boards[0].__exit__()
-        with pytest.raises(PortError):
-            link.sleep(1.0)
-        with pytest.raises(PortError, match="no such port"):
-            link.connect()
-        boards.append(HostBoard().__enter__())
+    with pytest.raises(PortError):
+        link.sleep(1.0)
+    with pytest.raises(PortError, match="no such port"):
         link.connect()
+    with HostBoard() as board, link:
         assert link.state == "idle"
-        assert not boards[1].pulses().any()
+        assert not board.pulses().any()
         link.arm(watchdog=2.0)
-        assert boards[1].pulses().all()
-    finally:
-        link.close()
-        boards[-1].__exit__()
+        assert board.pulses().all()
 
 
 def test_trims_and_directions_move_the_pulses_of_their_servo_alone_and_boot_text_none():
@@ -226,46 +191,35 @@ def test_trims_and_directions_move_the_pulses_of_their_servo_alone_and_boot_text
     assert turned[0] - 1_500_000 == -(plain[0] - 1_500_000)
 
 
-def test_a_port_without_the_lock_does_not_ask_for_an_unlocked_one(monkeypatch):
-    """Windows, where every port is locked, refuses that: a stop would not be sent."""
+class FakeSerial(SimpleNamespace):
+    """Keeps what it was opened with; refuses to be shared, as on Windows, where every port is
+    locked.
+    """
 
-    class Locked(serial.Serial):
-        exclusive = property(fset=lambda self, lock: self._ask(lock))
+    timeout = 0
 
-        def _ask(self, lock):
-            if lock is False:
-                raise ValueError("win32 only supports exclusive access (not: False)")
+    def open(self):
+        if self.exclusive is False:
+            raise ValueError("win32 only supports exclusive access (not: False)")
+        self.opened_with = dict(vars(self))
 
-        def open(self):
-            pass
-
-    monkeypatch.setattr(serial, "serial_for_url", lambda port, do_not_open, **how: Locked(**how))
-    open_transport("COM3", lock=False)
+    def reset_input_buffer(self):
+        self.flushed = True
 
 
-def test_dtr_and_rts_are_low_before_the_port_opens(monkeypatch):
-    events = []
-
-    class FakeSerial:
-        timeout = 0
-
-        def __setattr__(self, name, value):
-            events.append((name, value))
-
-        def open(self):
-            events.append("open")
-
-        def reset_input_buffer(self):
-            events.append("flush")
-
-    monkeypatch.setattr(
-        "hpac_gym.bridge.transport.serial.serial_for_url",
-        lambda *_, **how: events.append(how) or FakeSerial(),
-    )
-    open_transport("/dev/ttyUSB9")
-    how, *before = events[: events.index("open")]
-    assert {("dtr", False), ("rts", False), ("exclusive", True), ("baudrate", 460_800)} <= set(
-        before
-    )
-    assert how == {"do_not_open": True, "timeout": 0, "write_timeout": 1.0}
-    assert events[-1] == "flush"
+@pytest.mark.parametrize("lock", [True, False])
+def test_dtr_and_rts_are_low_before_the_port_opens_which_no_system_refuses(monkeypatch, lock):
+    made = Mock(return_value=FakeSerial(flushed=False))
+    monkeypatch.setattr("hpac_gym.bridge.transport.serial.serial_for_url", made)
+    opened = open_transport("/dev/ttyUSB9", lock=lock)._serial
+    how = {"do_not_open": True, "timeout": 0, "write_timeout": 1.0}
+    assert made.mock_calls == [call("/dev/ttyUSB9", **how)]
+    low = {"dtr": False, "rts": False}
+    exclusive = True if lock else None
+    assert opened.opened_with == {
+        **low,
+        "exclusive": exclusive,
+        "baudrate": 460_800,
+        "flushed": False,
+    }
+    assert opened.flushed == lock

@@ -5,6 +5,8 @@ time.
 import dataclasses
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -186,16 +188,14 @@ def test_arming_asks_every_twentieth_of_a_second(link, overheard):
 def test_waiting_for_a_hand_that_never_stops_ends_a_second_after_its_time(link, monkeypatch):
     link.arm()
     still = link.status()
-    asked = []
-    monkeypatch.setattr(
-        HandLink, "status", lambda self: asked.append(1) or dataclasses.replace(still, moving=True)
-    )
+    asked = Mock(return_value=dataclasses.replace(still, moving=True))
+    monkeypatch.setattr(HandLink, "status", asked)
     link.move(ServoCommand(np.full(6, 0.01), 0.5))
     start = link._now()
     with pytest.raises(LinkTimeout, match="still moves 1 s after"):
         link.wait()
     assert link._now() - start == pytest.approx(1.5, abs=0.02)
-    assert len(asked) == pytest.approx(1000, abs=3)
+    assert asked.call_count == pytest.approx(1000, abs=3)
 
 
 def test_the_counters_of_a_session_are_exact(virtual_hand):
@@ -221,37 +221,26 @@ def test_sequence_numbers_go_round_without_zero(virtual_hand):
 
 @pytest.mark.parametrize(("method", "gone"), [("write", True), ("read", True), ("read", False)])
 def test_a_call_that_is_stopped_says_so_whatever_the_port_does(virtual_hand, method, gone):
-    stopped = []
+    used = Mock(side_effect=PortError("closed meanwhile") if gone else None, return_value=b"")
 
     def check():
-        if stopped:
+        if used.called:
             raise StoppedError("stopped by close()")
 
-    def stop(*_):
-        stopped.append(True)
-        if gone:
-            raise PortError("closed meanwhile")
-        return b""
-
     transport = virtual_hand.connect()
-    setattr(transport, method, stop)
+    setattr(transport, method, used)
     with pytest.raises(StoppedError):
         Exchange(transport, LinkStatistics(), check).request("estop", timeout=0.0, attempts=1)
 
 
 @pytest.mark.parametrize("method", ["write", "read"])
 def test_a_port_that_fails_in_one_direction_ends_the_call_at_once(virtual_hand, method):
-    calls = []
-
-    def fail(*_):
-        calls.append(method)
-        raise PortError("the cable is off")
-
+    used = Mock(side_effect=PortError("the cable is off"))
     transport = virtual_hand.connect()
-    setattr(transport, method, fail)
+    setattr(transport, method, used)
     with pytest.raises(PortError, match="the cable is off"):
         Exchange(transport, LinkStatistics()).request("estop")
-    assert len(calls) == 1
+    assert used.call_count == 1
 
 
 # --- doctor
@@ -321,35 +310,24 @@ def test_doctor_tells_what_the_board_measures_the_trims_and_the_round_trip_in_mi
 # ------------------------------------------------------------------------------------------------------------
 
 
-def in_a_turn(turns, seconds):
-    """A thread that has the turn for so long; returns it, and what its end was."""
-    begun = threading.Event()
-    ends = []
-
-    def call():
-        try:
-            with turns:
-                begun.set()
-                time.sleep(seconds)
-            ends.append(None)
-        except StoppedError as error:
-            ends.append(str(error))
-
-    thread = threading.Thread(target=call)
-    thread.start()
-    begun.wait()
-    return thread, ends
-
-
 def test_who_preempts_waits_for_the_call_to_end_and_insists_meanwhile():
     turns = Turns()
-    insisted = []
-    thread, ends = in_a_turn(turns, 0.3)
-    with turns.preempt("estop()", lambda: insisted.append(time.monotonic())):
-        assert not turns._depth, "the other call has not ended yet"
-    thread.join()
-    assert len(insisted) >= 2
-    assert ends == ["stopped by estop()"]
+    begun = threading.Event()
+    insist = Mock()
+
+    def call():
+        with turns:
+            begun.set()
+            time.sleep(0.3)
+
+    with ThreadPoolExecutor() as pool:
+        other = pool.submit(call)
+        begun.wait()
+        with turns.preempt("estop()", insist):
+            assert not turns._depth, "the other call has not ended yet"
+    assert insist.call_count >= 2
+    with pytest.raises(StoppedError, match=r"^stopped by estop\(\)$"):
+        other.result()
     with turns:
         turns.check()
 
@@ -358,15 +336,12 @@ def test_who_preempts_insists_every_fiftieth_of_a_second_for_three(monkeypatch):
     clock = [0.0]
     insisted = []
 
-    class Held:
-        """A lock that never comes free."""
-
-        def acquire(self, blocking=True, timeout=0.0):
-            clock[0] += timeout
-            return False
+    def held(blocking=True, timeout=0.0):
+        clock[0] += timeout
+        return False
 
     turns = Turns()
-    turns._lock = Held()
+    turns._lock = Mock(acquire=held)
     turns._depth = 1
     monkeypatch.setattr(connection, "monotonic", lambda: clock[0])
     with turns.preempt("estop()", lambda: insisted.append(clock[0])):
