@@ -1,12 +1,13 @@
 """hpac wiggle and doctor."""
 
-import argparse
 import dataclasses
 import json
 import subprocess
 import sys
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, nullcontext
+from types import SimpleNamespace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -28,11 +29,12 @@ from hpac_gym.bridge import (
 from hpac_gym.bridge.commands import connector, send_and_hold
 from hpac_gym.bridge.doctor import diagnose
 from hpac_gym.bridge.frame import Frame, encode
-from hpac_gym.bridge.hands import VirtualTransport, config_of, default_config
+from hpac_gym.bridge.hands import config_of, default_config
 from hpac_gym.bridge.protocol import Fault, State
 from hpac_gym.errors import WorkspaceError
 from hpac_gym.model import HPAC, SERVOS, ServoCommand, hand_to_toml
 from tests.bridge.devices import Device, of_another_version, of_zeros, refusing, without_status
+from tests.options import called
 from tests.processes import wait_for
 
 
@@ -46,11 +48,8 @@ def slower_hand(tmp_path):
 
 
 def run(name, *words):
-    parser = argparse.ArgumentParser()
-    add = stop.add_arguments if name == "estop" else getattr(commands, f"add_{name}")
-    add(parser)
-    options = parser.parse_args(words)
-    return options.run(options)
+    command = SimpleNamespace(add_arguments=getattr(commands, f"add_{name}", stop.add_arguments))
+    return called(command, *words)
 
 
 def test_wiggle_moves_each_servo_alone_next_to_its_name(capsys, monkeypatch):
@@ -185,15 +184,10 @@ def test_doctor_tells_devices_apart_and_names_the_first_step(reply, what, advice
     assert advice in finding.advice
 
 
-def test_doctor_lets_the_port_go(virtual_hand):
-    closed = []
-
-    class Noting(VirtualTransport):
-        def close(self):
-            closed.append(True)
-
-    assert diagnose("here", lambda: Noting(virtual_hand)).healthy
-    assert closed
+def test_doctor_lets_the_port_go(overheard):
+    overheard.close = Mock()
+    assert diagnose("here", lambda: overheard).healthy
+    assert overheard.close.called
 
 
 def test_doctor_sees_a_port_in_use_and_does_not_disturb_it(host_board):
@@ -268,13 +262,9 @@ print(status, sorted({{"numpy", "gymnasium", "scipy"}} & set(sys.modules)))
 
 def test_clear_leaves_a_fault_that_holds(host_board, capsys, monkeypatch):
     monkeypatch.setattr("hpac_gym.bridge.last_words.LAST_WORDS_TIME", 0.1)
-    link = HandLink(host_board.connect)
-    link.connect()
-    link.arm(Action.hold)
-    transport = link._connection.exchange.transport
-    transport.write = lambda data: None
-    with pytest.warns(UnconfirmedWarning):
-        link.close()
+    with pytest.warns(UnconfirmedWarning), HandLink(host_board.connect) as link:  # noqa: PT031
+        link.arm(Action.hold)
+        link.exchange.transport.write = lambda data: None
     time.sleep(0.6)
     assert host_board.pulses().all()
     assert run("clear", "--port", host_board.port) == 0
@@ -308,11 +298,9 @@ def test_a_status_confirms_an_estop_by_its_fault_and_no_pulses(attached, fault, 
     state = State.fault if fault else State.idle
     said = encode(of_zeros("device_status", state=state, fault=fault, attached=attached))
     device = Device(VirtualHand(), lambda data: said)
-    if confirms:
+    refused = pytest.raises(LinkTimeout, match="no answer to estop for 3 s")
+    with nullcontext() if confirms else refused:
         stop.stop(device)
-    else:
-        with pytest.raises(LinkTimeout, match="no answer to estop for 3 s"):
-            stop.stop(device)
 
 
 def test_a_hand_file_that_cannot_be_read_does_not_disturb_an_estop(host_board, tmp_path):

@@ -11,13 +11,11 @@ from pathlib import Path
 
 import pytest
 
-from hpac_gym.bridge.errors import FrameError
 from hpac_gym.bridge.evidence import codec as wire
 from hpac_gym.bridge.firmware import BUILD_VARIABLE
-from hpac_gym.bridge.frame import decode
 from hpac_gym.bridge.hands import VirtualHand
 from tools.evidence import hostile, safety, scenarios, sessions
-from tools.evidence.judged_hand import Renumbering
+from tools.evidence.judged_hand import Renumbering, _rewritten
 
 FIRMWARE = Path(__file__).parents[2] / "firmware"
 
@@ -192,16 +190,8 @@ class Deaf(VirtualHand):
     """Hears everything but CLEAR and ESTOP, so that every link ends with a warning."""
 
     def receive(self, data):
-        pieces = [piece for piece in data.split(b"\0") if piece]
-        heard = [piece for piece in pieces if not _ends(piece)]
-        super().receive(b"".join(b"\0" + piece + b"\0" for piece in heard))
-
-
-def _ends(piece):
-    try:
-        return decode(piece).name in ("clear", "estop")
-    except FrameError:
-        return False
+        ends = (wire.CLEAR, wire.ESTOP)
+        super().receive(_rewritten(data, lambda body: None if body[1] in ends else body))
 
 
 def test_a_hand_that_stays_powered_counts_even_if_its_user_was_told():
