@@ -4,8 +4,6 @@ their world.
 
 import gc
 import os
-import subprocess
-import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import fields, replace
 from functools import cache
@@ -28,9 +26,10 @@ from hpac_gym.physics.engine import (
 from hpac_gym.physics.mujoco import camera
 from hpac_gym.physics.mujoco.engine import MuJoCoEngine
 from hpac_gym.physics.settings import BODIES, WorldSettings
-from hpac_gym.physics.simulation import Simulation, resting_object
+from hpac_gym.physics.simulation import resting_object
 from hpac_gym.tasks.grasp import Grasp
 from hpac_gym.tasks.grasp_data import GRASPS, NOMINAL
+from tests.processes import python
 
 OPPOSED = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.2])
 CLOSED = np.array([0.8, *HPAC.synergy_max[1:5], 1.2])
@@ -149,11 +148,10 @@ def test_worlds_do_not_feel_their_neighbours_place_or_threads_or_what_was_before
             assert bits(states, world) == alone(index), f"world {world}, setup {index}"
 
 
-def test_snapshots_of_every_layout_go_on_to_the_bit():
+def test_snapshots_of_every_layout_go_on_to_the_bit(begun):
     setups = varied()
-    engine = MuJoCoEngine(len(setups))
+    engine = begun("mujoco", *setups).engine
     worlds = range(len(setups))
-    engine.reset(worlds, setups)
     close(engine, 12)
     snapshots = [engine.save(world) for world in worlds]
     seen = engine.state()
@@ -171,10 +169,8 @@ def test_snapshots_of_every_layout_go_on_to_the_bit():
 # -------------------------------------------------------------------------------------
 
 
-def test_a_hand_starts_at_rest_on_its_manifold():
-    engine = MuJoCoEngine(1)
-    engine.reset([0], [primitive(synergy=0.2 * HPAC.synergy_max)])
-    state = engine.state()
+def test_a_hand_starts_at_rest_on_its_manifold(begun):
+    state = begun("mujoco", primitive(synergy=0.2 * HPAC.synergy_max)).state()
     np.testing.assert_array_equal(state.joint_pos[0], joints_from_synergy(0.2 * HPAC.synergy_max))
     np.testing.assert_allclose(state.object_pos[0], PLACE, atol=1e-15)
     assert not state.joint_vel.any()
@@ -183,7 +179,7 @@ def test_a_hand_starts_at_rest_on_its_manifold():
     assert not state.supported.any()
 
 
-def test_primitives_and_the_objects_of_all_named_grasps_and_variants_stand_on_their_supports():
+def test_primitives_and_the_objects_of_all_named_grasps_and_variants_stand_on_their_supports(begun):
     names = [
         (name, variant) for name, grasp in GRASPS.items() for variant in (NOMINAL, *grasp.held_out)
     ]
@@ -194,9 +190,8 @@ def test_primitives_and_the_objects_of_all_named_grasps_and_variants_stand_on_th
             for grasp, variant in names
         ),
     ]
-    engine = MuJoCoEngine(len(setups))
+    engine = begun("mujoco", *setups).engine
     steps = 60
-    engine.reset(range(len(setups)), setups)
     servo = np.array([servo_from_synergy(setup.synergy) for setup in setups])[:, None].repeat(
         steps, axis=1
     )
@@ -214,19 +209,17 @@ def test_primitives_and_the_objects_of_all_named_grasps_and_variants_stand_on_th
     assert not state.on_target.any()
 
 
-def test_an_object_knows_its_target():
+def test_an_object_knows_its_target(begun):
     setup = primitive(target=TARGET)
-    engine = MuJoCoEngine(1)
-    engine.reset([0], [replace(setup, position=setup.target)])
+    engine = begun("mujoco", replace(setup, position=setup.target)).engine
     wait(engine, 0.25)
     assert engine.state().on_target[0]
     assert engine.state().supported[0]
 
 
-def test_frictions_multiply():
+def test_frictions_multiply(begun):
     settings = replace(BODIES["twin"], contact_friction=0.5)
-    engine = MuJoCoEngine(1)
-    engine.reset([0], [primitive(hand_settings=settings)])
+    engine = begun("mujoco", primitive(hand_settings=settings)).engine
     found: dict[str, float] = {}
     for step in range(24):
         close(engine, 1, start=step)
@@ -244,11 +237,9 @@ def test_frictions_multiply():
     assert skin == pytest.approx(0.5 * 0.5)
 
 
-def test_mass_and_inertia_of_named_objects_scale():
-    engine = MuJoCoEngine(1)
+def test_mass_and_inertia_of_named_objects_scale(begun):
     for name, wanted in load_object_models().items():
-        engine.reset([0], [named(name)])
-        model, data = engine.single(0)
+        model, data = begun("mujoco", named(name)).engine.single(0)
         full = np.zeros((model.nv, model.nv))
         mujoco.mj_fullM(model, data, full)
         start = model.joint("object").dofadr[0]
@@ -266,9 +257,8 @@ def test_mass_and_inertia_of_named_objects_scale():
         )
 
 
-def test_contacts_of_a_world_are_the_same_whichever_were_read_before():
-    engine = MuJoCoEngine(2)
-    engine.reset([0, 1], [primitive(), primitive(yaw=0.9)])
+def test_contacts_of_a_world_are_the_same_whichever_were_read_before(begun):
+    engine = begun("mujoco", primitive(), primitive(yaw=0.9)).engine
     close(engine, 40)
     (found, other, again) = (engine.contacts(world) for world in (0, 1, 0))
     assert not np.array_equal(found.point, other.point)
@@ -278,10 +268,9 @@ def test_contacts_of_a_world_are_the_same_whichever_were_read_before():
     assert len(found.force) > 2
 
 
-def test_slack_delays_a_finger():
-    engine = MuJoCoEngine(2)
+def test_slack_delays_a_finger(begun):
     slack = replace(BODIES["twin"], slack=(0.0, 2e-3, 0.0, 0.0, 0.0))
-    engine.reset([0, 1], [SceneSetup(None), SceneSetup(None, hand_settings=slack)])
+    engine = begun("mujoco", SceneSetup(None), SceneSetup(None, hand_settings=slack)).engine
     state = close(engine, 20)[-1]
     index = JOINT_INDEX["index_mcp"]
     assert state.joint_pos[0, index] - state.joint_pos[1, index] > 0.1
@@ -296,14 +285,12 @@ def test_slack_delays_a_finger():
 
 @pytest.mark.parametrize("bad", [np.nan, 1e200])
 def test_a_failed_world_is_named_and_back_at_its_start_and_those_beside_it_advance(
-    bad, tmp_path, monkeypatch
+    bad, begun, tmp_path, monkeypatch
 ):
     """Worlds of several layouts, which are advanced one after the other; MuJoCo writes no file."""
     monkeypatch.chdir(tmp_path)
-    engine, alone = (MuJoCoEngine(3) for _ in range(2))
     setups = [primitive("cylinder"), SceneSetup(None), primitive("box")]
-    for each in (engine, alone):
-        each.reset(range(3), setups)
+    engine, alone = (begun("mujoco", *setups).engine for _ in range(2))
     start = engine.state()
     servo = np.full((3, 6, 6), 0.2)
     tables = np.zeros((3, 6, 6)), np.zeros((3, 6, 3))
@@ -324,9 +311,9 @@ def test_a_failed_world_is_named_and_back_at_its_start_and_those_beside_it_advan
     assert not list(tmp_path.iterdir())
 
 
-def test_a_setup_that_is_no_place_is_an_error():
-    engine = MuJoCoEngine(2)
-    engine.reset([0, 1], [primitive(), primitive(position=np.array([np.nan, 0.0, 0.0]))])
+def test_a_setup_that_is_no_place_is_an_error(begun):
+    nowhere = np.array([np.nan, 0.0, 0.0])
+    engine = begun("mujoco", primitive(), primitive(position=nowhere)).engine
     with pytest.raises(
         PhysicsError,
         match=r"world 1 of 2 failed after 0\.000 s of its episode: MuJoCo says BADQPOS",
@@ -334,24 +321,22 @@ def test_a_setup_that_is_no_place_is_an_error():
         wait(engine, 0.05)
 
 
-def test_numbers_of_numpy_are_numbers():
+def test_numbers_of_numpy_are_numbers(begun):
     """In the settings of a world, and as the mass of an object that comes to rest."""
     settings = WorldSettings(physics_hz=np.int64(120), gravity=np.float64(9.81))
-    engine = MuJoCoEngine(1, settings)
-    engine.reset([0], [primitive()])
+    engine = begun("mujoco", primitive(), settings=settings).engine
     assert engine.single(0)[0].opt.timestep == 1 / 120
     can = ObjectSpec("cylinder", (0.03, 0.03, 0.06), np.float32(0.25), np.float64(0.7))
     assert resting_object(can).model.mass == 0.25
 
 
-def test_what_mujoco_cannot_do_is_refused():
+def test_what_mujoco_cannot_do_is_refused(begun):
     """A refused setup leaves the worlds beside it as they are."""
-    engine = MuJoCoEngine(2)
-    simulation = Simulation(engine)
-    simulation.reset([0, 1], [primitive()] * 2)
+    simulation = begun("mujoco", primitive(), primitive())
     bad = primitive(hand_settings=replace(BODIES["twin"], tendon_friction=0.1))
     with pytest.raises(ParameterError, match=r"tendon_friction = 0.1 must be 0"):
         simulation.reset([0, 1], [primitive("sphere", fixed=True), bad])
+    engine = simulation.engine
     assert engine.single(0)[0].nq == engine.single(1)[0].nq
 
 
@@ -407,17 +392,16 @@ def test_an_engine_that_is_forgotten_takes_nothing_from_the_pictures_of_another(
 def test_a_program_may_end_with_an_engine_that_is_open():
     picture(filmed("box"))
     script = "from tests.physics.test_mujoco_engine import *; kept = filmed('box'); picture(kept)"
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    done = python("-c", script)
     assert (done.returncode, done.stderr) == (0, "")
 
 
-def test_without_opengl_a_picture_is_one_clear_line(monkeypatch):
+def test_without_opengl_a_picture_is_one_clear_line(begun, monkeypatch):
     def broken() -> type:
         raise AttributeError("'NoneType' object has no attribute\n'eglQueryDevicesEXT'")
 
     monkeypatch.setattr(camera, "_gl_context", broken)
-    engine = MuJoCoEngine(1)
-    engine.reset([0], [primitive()])
+    engine = begun("mujoco", primitive()).engine
     with pytest.raises(
         PhysicsError, match=r"no OpenGL for pictures \(AttributeError: .*\): install .*libegl1"
     ) as caught:
