@@ -58,47 +58,36 @@ def digit_statics(
         friction: dry friction of the joints.
         direction: `FLEXION` or `EXTENSION`, the motion that friction opposes.
     """
-    radius = np.array(digit.joint_radius)
-    count = len(digit.joints)
-    segments = count - 1
-    stiffness = digit.segment_stiffness
+    root = digit.joint_radius[0]
+    radius = np.array(digit.joint_radius[1:])
+    count = len(radius)
     pull = 1 - direction * friction.tendon
     lag = 1 + direction * friction.tendon
 
-    # x = [q_1 … q_(n−1), c_0 … c_(n−2), T]; matrix x = of_root q_0 + constant
-    size = 2 * segments + 1
-    matrix = np.zeros((size, size))
-    of_root = np.zeros(size)
-    constant = np.zeros(size)
-    tension = segments + np.arange(segments)
-    spring = size - 1
-    for joint in range(1, count):
-        row = joint - 1  # R (c_before pull − (c_after + T) lag) = direction · friction
-        matrix[row, tension[joint - 1]] = radius[joint] * pull
-        if joint < segments:
-            matrix[row, tension[joint]] = -radius[joint] * lag
-        matrix[row, spring] = -radius[joint] * lag
-        constant[row] = direction * friction.joint
-        row = segments + joint - 1  # c / K + R q − R_before q_before = 0
-        matrix[row, tension[joint - 1]] = 1 / stiffness[joint - 1]
-        matrix[row, joint - 1] = radius[joint]
-        if joint == 1:
-            of_root[row] = radius[0]
-        else:
-            matrix[row, joint - 2] = -radius[joint - 1]
-    matrix[spring, spring] = 1 / digit.spring_stiffness  # T / k_s − Σ R q = R_0 q_0
-    matrix[spring, :segments] = -radius[1:]
-    of_root[spring] = radius[0]
+    # matrix @ [q_1 … q_(n−1), c_0 … c_(n−2), T] = of_root q_0 + constant
+    matrix = np.zeros((2 * count + 1, 2 * count + 1))
+    # R (c_before pull − (c_after + T) lag) = direction · friction, for every joint but the root
+    matrix[:count, count:-1] = pull * np.diag(radius) - lag * np.diag(radius[:-1], 1)
+    matrix[:count, -1] = -lag * radius
+    # c / K + R q − R_before q_before = 0, for every segment
+    matrix[count:-1, :count] = np.diag(radius) - np.diag(radius[:-1], -1)
+    matrix[count:-1, count:-1] = np.diag(1 / digit.segment_stiffness)
+    # T / k_s − Σ R q = R_0 q_0
+    matrix[-1, :count] = -radius
+    matrix[-1, -1] = 1 / digit.spring_stiffness
+    of_root = np.zeros(len(matrix))
+    of_root[[count, -1]] = root
+    constant = np.zeros(len(matrix))
+    constant[:count] = direction * friction.joint
     slope, offset = np.linalg.solve(matrix, np.stack([of_root, constant], axis=1)).T
 
     share = lag / pull
     return DigitStatics(
-        slope=np.concatenate([[1.0], slope[:segments]]),
-        offset=np.concatenate([[0.0], offset[:segments]]),
-        load_slope=float(radius[0] * share * (slope[tension[0]] + slope[spring])),
+        slope=np.concatenate([[1.0], slope[:count]]),
+        offset=np.concatenate([[0.0], offset[:count]]),
+        load_slope=float(root * share * (slope[count] + slope[-1])),
         load_offset=float(
-            radius[0] * share * (offset[tension[0]] + offset[spring])
-            + direction * friction.joint / pull
+            root * share * (offset[count] + offset[-1]) + direction * friction.joint / pull
         ),
     )
 
