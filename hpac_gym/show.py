@@ -14,11 +14,10 @@ from typing import Any
 from hpac_gym.command import add_json, say, whole_number
 from hpac_gym.evaluation.environment import make_env
 from hpac_gym.evaluation.episodes import run_episodes, single
-from hpac_gym.evaluation.evaluate import env_id_of
-from hpac_gym.evaluation.options import add_env_options, env_options
+from hpac_gym.evaluation.evaluate import add_policy_and_env, env_of
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.output import OutputError, replacing
-from hpac_gym.policies.loading import NAMES, NORMALIZE, load_policy, needed_options, shipped_for
+from hpac_gym.policies.loading import NAMES, load_policy, shipped_for
 from hpac_gym.progress import progress
 from hpac_gym.registration import GRASP
 from hpac_gym.tasks.task import CONTROL_HZ
@@ -34,11 +33,11 @@ PAUSE = 1.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of `hpac show`."""
-    parser.add_argument(
-        "--policy", help=f"{NAMES} (default: a shipped one of --env; scripted with --grasp)"
+    add_policy_and_env(
+        parser,
+        "id, also module:My-v0 (default: a policy file's own)",
+        help=f"{NAMES} (default: a shipped one of --env; scripted with --grasp)",
     )
-    parser.add_argument("--normalize", metavar="FILE", help=NORMALIZE)
-    add_env_options(parser, "id, also module:My-v0 (default: a policy file's own)")
     parser.add_argument("--seed", type=whole_number(0), default=HELD_OUT_SEED, help="of the first")
     parser.add_argument(
         "--episodes",
@@ -56,11 +55,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Show episodes, one after another."""
     policy = options.policy or ("scripted" if options.grasp else shipped_for(options.env or GRASP))
-    env_id = options.env or env_id_of(policy)
+    env_id, given = env_of(options, policy)
     count = options.episodes or (3 if options.record else None)
     mode = "rgb_array" if options.record else "human"
     with ExitStack() as stack:
-        given = needed_options(policy, env_id) | env_options(options, env_id)
         env = stack.enter_context(make_env(env_id, render_mode=mode, **given))
         actor = load_policy(policy, env, options.normalize)
         film = stack.enter_context(_film(options.record)) if options.record else None

@@ -23,10 +23,9 @@ from hpac_gym.command import add_json, say, whole_number
 from hpac_gym.errors import DatasetError
 from hpac_gym.evaluation.environment import make_env
 from hpac_gym.evaluation.episodes import run_episodes, single
-from hpac_gym.evaluation.evaluate import env_id_of
-from hpac_gym.evaluation.options import add_env_options, env_options
+from hpac_gym.evaluation.evaluate import add_policy_and_env, env_of
 from hpac_gym.output import OutputError, writable_folder
-from hpac_gym.policies.loading import NAMES, NORMALIZE, load_policy, needed_options
+from hpac_gym.policies.loading import NAMES, load_policy
 from hpac_gym.progress import progress
 from hpac_gym.registration import GRASP, full_id
 
@@ -49,14 +48,11 @@ LeRobot v3. The folder appears when all episodes are written."""
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of `hpac record`."""
     parser.description = _ABOUT
-    parser.add_argument(
-        "--policy",
+    add_policy_and_env(
+        parser,
+        f"id, also module:My-v0 (default: a policy file's own, otherwise {GRASP})",
         default="scripted",
         help=f"{NAMES} (default: %(default)s)",
-    )
-    parser.add_argument("--normalize", metavar="FILE", help=NORMALIZE)
-    add_env_options(
-        parser, f"id, also module:My-v0 (default: a policy file's own, otherwise {GRASP})"
     )
     parser.add_argument(
         "-n",
@@ -87,8 +83,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _record(args: argparse.Namespace) -> int:
-    env_id = args.env or env_id_of(args.policy)
-    options = needed_options(args.policy, env_id) | env_options(args, env_id)
+    env_id, options = env_of(args, args.policy)
     what = {"seed_start": args.seed_start, "options": options, "normalize": args.normalize}
     if args.format == "minari":
         told = _told(record(args.policy, env_id, args.episodes, args.out, **what))

@@ -238,18 +238,31 @@ def add_seeds_and_workers(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_policy_and_env(
+    parser: argparse.ArgumentParser, env: str, but: tuple[str, ...] = (), **policy: Any
+) -> None:
+    """The arguments of a command that runs a policy in an environment of its choice, `env_of`.
+
+    Args:
+        parser: the command's.
+        env: help of ``--env``.
+        but: options of the environment that the command gives another meaning.
+        policy: what ``--policy`` is, for the parser.
+    """
+    parser.add_argument("--policy", **policy)
+    parser.add_argument("--normalize", metavar="FILE", help=NORMALIZE)
+    add_env_options(parser, env, but)
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of `hpac evaluate`."""
     parser.formatter_class = Formatter
-    parser.add_argument(
-        "--policy",
+    add_policy_and_env(
+        parser,
+        f"id, also module:My-v0 (default: a policy file's own, otherwise {DEFAULT_ENV})",
         required=True,
         action="append",
         help=f"{NAMES}; may be repeated, to compare",
-    )
-    parser.add_argument("--normalize", metavar="FILE", help=NORMALIZE)
-    add_env_options(
-        parser, f"id, also module:My-v0 (default: a policy file's own, otherwise {DEFAULT_ENV})"
     )
     parser.add_argument("--episodes", type=whole_number(1), default=400, help="episodes per policy")
     add_seeds_and_workers(parser)
@@ -283,7 +296,7 @@ def run(args: argparse.Namespace) -> int:
         if any(args.out.resolve() == policy_path(name).resolve() for name in files):
             raise OutputError(f"--out is '{args.out}', a policy to evaluate")
     made = next((name for name in args.policy if "env_id" in about(name)), args.policy[0])
-    env_id = args.env or env_id_of(made)
+    env_id, options = env_of(args, made)
     judged = evaluate(
         names,
         env_id,
@@ -291,7 +304,7 @@ def run(args: argparse.Namespace) -> int:
         seed_start=args.seed_start,
         workers=args.workers,
         time_limit=60 * args.time_limit,
-        options=needed_options(made, env_id) | env_options(args, env_id),
+        options=options,
         normalize=args.normalize,
     )
     summary = judged.summary()
@@ -320,6 +333,18 @@ def env_id_of(policy: str) -> str:
         PolicyError: The file is damaged.
     """
     return about(policy).get("env_id", DEFAULT_ENV)
+
+
+def env_of(args: argparse.Namespace, policy: str) -> tuple[str, dict[str, Any]]:
+    """The environment that was asked for, or else the policy's own, and its options: those that the
+    policy needs, and those that were given.
+
+    Raises:
+        ParameterError: As in `env_options`.
+        PolicyError: As in `env_id_of`.
+    """
+    env_id = args.env or env_id_of(policy)
+    return env_id, needed_options(policy, env_id) | env_options(args, env_id)
 
 
 def failures_by_phase(episodes: Sequence[Episode]) -> Counter[str]:

@@ -13,13 +13,17 @@ from typing import Any
 from hpac_gym.calibration.posterior import DRAWS, read_draws
 from hpac_gym.command import Formatter, add_json, say, whole_number
 from hpac_gym.evaluation.environment import make_env
-from hpac_gym.evaluation.evaluate import add_seeds_and_workers, env_id_of, run_block
-from hpac_gym.evaluation.options import add_env_options, env_options
+from hpac_gym.evaluation.evaluate import (
+    add_policy_and_env,
+    add_seeds_and_workers,
+    env_of,
+    run_block,
+)
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import predicted_rate
 from hpac_gym.evaluation.workers import shared
 from hpac_gym.model import HPAC, Hand, load_hand
-from hpac_gym.policies.loading import NAMES, NORMALIZE, load_policy, needed_options
+from hpac_gym.policies.loading import NAMES, load_policy
 
 NOMINAL = "nominal"
 EPISODES = 50
@@ -102,12 +106,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="hand.toml",
         help="what 'hpac calibrate' wrote, its report beside it",
     )
-    parser.add_argument("--policy", default="scripted", help=NAMES)
-    parser.add_argument("--normalize", metavar="FILE", help=NORMALIZE)
-    add_env_options(
+    add_policy_and_env(
         parser,
         "id (default: a policy file's own, otherwise HPAC-Grasp-v0)",
         but=("hand", "hands", "model"),
+        default="scripted",
+        help=NAMES,
     )
     parser.add_argument(
         "--model",
@@ -137,8 +141,7 @@ def run(args: argparse.Namespace) -> int:
     """Run the command: draw the virtual hands, run the policy, print the forecast."""
     hand = load_hand(args.file)
     hands = read_draws(args.file, hand)
-    env_id = args.env or env_id_of(args.policy)
-    given = needed_options(args.policy, env_id) | env_options(args, env_id)
+    env_id, given = env_of(args, args.policy)
     model = HPAC if args.commands == NOMINAL else load_hand(args.commands or args.file)
     expected = forecast(
         hands[: args.count],
