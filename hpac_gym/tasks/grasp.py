@@ -33,6 +33,7 @@ from hpac_gym.tasks.privileged import PRIVILEGED_TERMS
 from hpac_gym.tasks.scripted import Script, ScriptedClosure
 from hpac_gym.tasks.task import (
     Task,
+    carry_term,
     contact_term,
     effort_term,
     judged,
@@ -56,7 +57,6 @@ VARIANT_OPTION = Option(
     "variant of a named grasp's object",
     (NOMINAL, *dict.fromkeys(name for grasp in GRASPS.values() for name in grasp.held_out)),
 )
-CONFIG_OPTION = config_option(GraspConfig)
 OBJECT_OPTION = Option(
     "object that replaces the primitive, such as one that `own_object` loads from a file; a "
     "dictionary has the arguments of `own_object`",
@@ -94,7 +94,9 @@ class Grasp(Task):
 
     def __init__(
         self,
-        config: Annotated[GraspConfig | Mapping[str, Any] | None, CONFIG_OPTION] = None,
+        config: Annotated[
+            GraspConfig | Mapping[str, Any] | None, config_option(GraspConfig)
+        ] = None,
         object: Annotated[ObjectSpec | Mapping[str, Any] | None, OBJECT_OPTION] = None,
         grasp: Annotated[str | None, GRASP_OPTION] = None,
         variant: Annotated[str, VARIANT_OPTION] = NOMINAL,
@@ -131,14 +133,7 @@ class Grasp(Task):
         return (
             contact_term(weights, CLOSE),
             self._push_term(),
-            RewardTerm(
-                "carry",
-                f"afterwards: {weights.carry:g} · (1 − slip / MAX_SLIP) for an object that the hand carries free "
-                "of its support",
-                lambda now: paid_where(
-                    now.began != CLOSE, lambda: weights.carry * now.grip.firmness
-                ),
-            ),
+            carry_term(weights, CLOSE),
             effort_term(weights),
             outcome_term(weights),
         )

@@ -41,6 +41,7 @@ from hpac_gym.tasks.task import (
     FAILURE,
     SUCCESS,
     Task,
+    carry_term,
     contact_score,
     effort_term,
     judged,
@@ -93,32 +94,6 @@ HANDS_OPTION = Option(
 )
 
 
-class Closing:
-    """What the last step of n closing hands changed.
-
-    Attributes:
-        gained: growth of the contact score, shape (n,).
-        pushed: growth of the object's displacement as a fraction of `reach`, shape (n,).
-    """
-
-    changing = ("gained", "pushed", "_last")
-
-    def __init__(self, num_worlds: int, config: GraspAnyConfig) -> None:
-        self._score = contact_score(config.weights)
-        self._reach = config.reach
-        self.gained, self.pushed = self._last = np.zeros((2, num_worlds))
-
-    def start(self, worlds: NDArray[np.int_]) -> None:
-        """Begin episodes."""
-        self._last[:, worlds] = 0.0
-
-    def follow(self, touching: NDArray[np.bool_], moved: Array) -> None:
-        """Advance by one control step, for `SceneState.touching` and `Grip.moved`."""
-        now = np.array([self._score(touching), np.minimum(moved / self._reach, 1.0)])
-        self.gained, self.pushed = now - self._last
-        self._last = now
-
-
 class GraspAny(Task):
     """Draws episodes, judges them, and shapes the reward: a `hpac_gym.tasks.task.Task`.
 
@@ -137,7 +112,10 @@ class GraspAny(Task):
     """
 
     phases = PHASES
-    changing = ("grip", "closing", "holding_force", "turn", "sides", "_phase", "_grasped")
+    changing = (
+        *("grip", "holding_force", "turn", "sides"),
+        *("_closed", "_gained", "_phase", "_grasped"),
+    )
     viewpoint = Viewpoint(yaw_deg=120.0)
     sensed_terms: ClassVar = {"load": LOAD_TERMS, "points": ()}
 
@@ -169,6 +147,7 @@ class GraspAny(Task):
         )
         self.privileged_terms = (*PRIVILEGED_TERMS, *HIDDEN_TERMS)
         self.reward_terms = self._rewards()
+        self._score = contact_score(config.weights)
 
     def _rewards(self) -> tuple[RewardTerm, ...]:
         weights = self.config.weights
@@ -178,22 +157,14 @@ class GraspAny(Task):
                 "contact",
                 f"while closing, change of the contact score in this step: {weights.thumb:g} for the thumb, "
                 f"{weights.finger:g} for each finger, {weights.opposed:g} when they oppose each other",
-                lambda now: paid_where(now.began == CLOSE, lambda: self.closing.gained),
+                lambda now: paid_where(now.began == CLOSE, lambda: self._gained[0]),
             ),
             RewardTerm(
                 "push",
                 f"while closing: {weights.push:g} · growth of the object's displacement as a fraction of `reach`",
-                lambda now: paid_where(
-                    now.began == CLOSE, lambda: weights.push * self.closing.pushed
-                ),
+                lambda now: paid_where(now.began == CLOSE, lambda: weights.push * self._gained[1]),
             ),
-            RewardTerm(
-                "carry",
-                f"afterwards: {weights.carry:g} · (1 − slip / MAX_SLIP) for an object that the hand carries free of its support",
-                lambda now: paid_where(
-                    now.began != CLOSE, lambda: weights.carry * now.grip.firmness
-                ),
-            ),
+            carry_term(weights, CLOSE),
             RewardTerm(
                 "force",
                 f"{weights.force:g} · holding force / {config.ramp_force:g} N, once, at the end of a successful episode",
@@ -210,7 +181,8 @@ class GraspAny(Task):
         self.grip = Grip(num_worlds)
         self._mass = np.zeros((num_worlds, 1))
         self._pull = np.zeros((num_worlds, 3))
-        self.closing = Closing(num_worlds, self.config)
+        # The contact score, and the object's displacement as a fraction of `reach`; and their growth.
+        self._closed, self._gained = np.zeros((2, 2, num_worlds))
         self._phase = np.zeros(num_worlds, dtype=int)
         self._grasped = np.zeros((num_worlds, 3, 3))
         self._names = np.full(num_worlds, "", dtype=object)
@@ -241,7 +213,7 @@ class GraspAny(Task):
         index = np.asarray(worlds)
         self._mass[index, 0] = [setup.object.mass for setup in setups]
         self._pull[index] = [pull_of(setup) for setup in setups]
-        self.closing.start(index)
+        self._closed[:, index] = 0.0
         self._names[index] = [
             spec.model.name if spec.model else spec.shape
             for spec in (setup.object for setup in setups)
@@ -290,7 +262,10 @@ class GraspAny(Task):
         grip.settle(begins & (phase > SHAKE))
         closing = phase == CLOSE
         self._grasped[closing] = state.object_rotation[closing]
-        self.closing.follow(state.touching, grip.moved)
+        pushed = np.minimum(grip.moved / self.config.reach, 1.0)
+        closed = np.array([self._score(state.touching), pushed])
+        self._gained = closed - self._closed
+        self._closed = closed
         shaken = ran > SHAKE
         if not shaken.all():
             cosine = (np.einsum("nij,nij->n", self._grasped, state.object_rotation) - 1) / 2

@@ -26,7 +26,6 @@ from hpac_gym.tasks.terms import Moment, RewardTerm, Term
 
 OUTCOMES = ("running", "success", "failure")
 RUNNING, SUCCESS, FAILURE = range(len(OUTCOMES))  # `judged` counts on 0 and 1
-_OUTCOMES = np.array(OUTCOMES, dtype=object)
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,7 +156,7 @@ class Task(ABC):
         """
         return {
             "is_success": now.outcome == SUCCESS,
-            "outcome": _OUTCOMES.take(now.outcome),
+            "outcome": _names(OUTCOMES).take(now.outcome),
             "phase": _names(self.phases).take(now.phase),
             "contact_force": np.add.reduce(now.state.contact_force, axis=1),
             "hold_time": now.grip.time.copy(),
@@ -224,6 +223,15 @@ def contact_term(weights: Any, phase: int) -> RewardTerm:
     )
 
 
+def carry_term(weights: Any, closing: int) -> RewardTerm:
+    """Reward for carrying the object after the closing phase."""
+    return RewardTerm(
+        "carry",
+        f"afterwards: {weights.carry:g} · (1 − slip / MAX_SLIP) for an object that the hand carries free of its support",
+        lambda now: paid_where(now.began != closing, lambda: weights.carry * now.grip.firmness),
+    )
+
+
 def effort_term(weights: Any) -> RewardTerm:
     """Cost of changing the action."""
     return RewardTerm(
@@ -241,5 +249,5 @@ def outcome_term(weights: Any) -> RewardTerm:
 
 
 @cache
-def _names(phases: tuple[str, ...]) -> NDArray[np.object_]:
-    return np.array(phases, dtype=object)
+def _names(names: tuple[str, ...]) -> NDArray[np.object_]:
+    return np.array(names, dtype=object)
