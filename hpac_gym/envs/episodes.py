@@ -86,7 +86,13 @@ class Episodes:
             task.obs = options.obs
             self.user = task.user = object()
             self._camera = task.prepare(num_worlds, options.noise)
-            self.observations = Observations(task, options.obs, num_worlds)
+            self.observations = Observations(
+                task,
+                options.obs,
+                num_worlds,
+                lambda width: np.stack(self.pictures.all(width=width, height=width)),
+                lambda state: self._camera.points(state),
+            )
             self.wrists = Wrists(task, num_worlds, engine.dt)
         except Exception:
             engine.close()
@@ -235,11 +241,7 @@ class Episodes:
 
     def observe(self) -> Observation:
         """Current observations, with a leading axis n."""
-        return self.observations.see(
-            self.now,
-            lambda width: np.stack(self.pictures.all(width=width, height=width)),
-            lambda: self._camera.points(self.now.state),
-        )
+        return self.observations.see(self.now)
 
     def close(self) -> None:
         """Close the engine and the page. Closing twice is allowed."""

@@ -6,7 +6,7 @@ import numpy as np
 from gymnasium import Space, spaces
 from numpy.typing import NDArray
 
-from hpac_gym.physics.engine import SceneSetup
+from hpac_gym.physics.engine import SceneSetup, SceneState
 from hpac_gym.tasks.senses import POINTS, POINTS_BOUND
 from hpac_gym.tasks.task import Task
 from hpac_gym.tasks.terms import Layout, Moment
@@ -30,6 +30,10 @@ class Observations:
         task: has the terms.
         obs: kind of observation, as the option of that name.
         num_worlds: n.
+        pictures: makes square pictures of a width [px], shape (n, width, width, 3), where they are
+            observed.
+        points: makes the points that the camera sees of a state, shape (n, `POINTS`, 4), where they
+            are observed.
 
     Attributes:
         space: observation space of one world.
@@ -38,26 +42,34 @@ class Observations:
 
     changing = ("_layout", "_goals", "_achieved", "_desired")
 
-    def __init__(self, task: Task, obs: str, num_worlds: int) -> None:
+    def __init__(
+        self,
+        task: Task,
+        obs: str,
+        num_worlds: int,
+        pictures: Callable[[int], NDArray],
+        points: Callable[[SceneState], NDArray],
+    ) -> None:
         self._task = task
-        self._obs = obs
         more = {"privileged": task.privileged_terms, **task.sensed_terms}
         self._layout = Layout((*task.terms, *more.get(obs, ())), num_worlds)
         self._goals = Layout(task.goal_terms, num_worlds) if task.goal_terms else None
         self._achieved = self._desired = np.zeros(0)
-        self._vector = "observation" if self._goals else "deploy"
         self.slices = dict(self._layout.slices)
-        self.space = self._space()
-
-    def _space(self) -> Space:
-        parts: dict[str, Space] = {self._vector: self._layout.space}
+        parts: dict[str, tuple[Space, Callable[[Moment], NDArray]]] = {}  # space and value of each
+        parts["observation" if self._goals else "deploy"] = self._layout.space, self._layout.see
         if self._goals:
-            parts |= {"achieved_goal": self._goals.space, "desired_goal": self._goals.space}
-        if self._obs == "image":
-            parts["image"] = spaces.Box(0, 255, (IMAGE_SIZE, IMAGE_SIZE, 3), np.uint8)
-        if self._obs == "points":
-            parts["points"] = spaces.Box(-POINTS_BOUND, POINTS_BOUND, (POINTS, 4), np.float32)
-        return self._layout.space if set(parts) == {"deploy"} else spaces.Dict(parts)
+            parts["achieved_goal"] = self._goals.space, lambda now: self._achieved
+            parts["desired_goal"] = self._goals.space, lambda now: self._desired
+        if obs == "image":
+            space = spaces.Box(0, 255, (IMAGE_SIZE, IMAGE_SIZE, 3), np.uint8)
+            parts["image"] = space, lambda now: pictures(IMAGE_SIZE)
+        if obs == "points":
+            space = spaces.Box(-POINTS_BOUND, POINTS_BOUND, (POINTS, 4), np.float32)
+            parts["points"] = space, lambda now: points(now.state)
+        self._parts = parts
+        together = spaces.Dict({name: space for name, (space, _) in parts.items()})
+        self.space = self._layout.space if set(parts) == {"deploy"} else together
 
     def start(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
         """Begin episodes in some worlds."""
@@ -74,25 +86,8 @@ class Observations:
             )
             self._task.measure(self._achieved, self._desired)
 
-    def see(
-        self, now: Moment, pictures: Callable[[int], NDArray], points: Callable[[], NDArray]
-    ) -> Observation:
-        """Observations, with a leading axis n.
-
-        Args:
-            now: n worlds after a control step.
-            pictures: makes square pictures of a width [px], shape (n, width, width, 3), where they
-                are observed.
-            points: makes the camera's points, shape (n, `POINTS`, 4), where they are observed.
-        """
-        vector = self._layout.see(now)
+    def see(self, now: Moment) -> Observation:
+        """Observations after a control step, with a leading axis n."""
         if isinstance(self.space, spaces.Box):
-            return vector
-        parts = {self._vector: vector}
-        if self._goals:
-            parts |= {"achieved_goal": self._achieved, "desired_goal": self._desired}
-        if self._obs == "image":
-            parts["image"] = pictures(IMAGE_SIZE)
-        if self._obs == "points":
-            parts["points"] = points()
-        return parts
+            return self._layout.see(now)
+        return {name: value(now) for name, (_, value) in self._parts.items()}
