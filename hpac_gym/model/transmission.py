@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hpac_gym.errors import WorkspaceError
-from hpac_gym.model.checks import Array, as_finite_array
+from hpac_gym.model.checks import Array, as_bounded_array, as_finite_array
 from hpac_gym.model.files import HPAC
 from hpac_gym.model.guides import included_from_chord
 from hpac_gym.model.joints import JOINTS, SERVOS
@@ -74,14 +74,10 @@ def servo_from_synergy(synergy: ArrayLike, hand: Hand = HPAC) -> Array:
         WorkspaceError: An angle would fold the guides past each other, or open them past straight.
     """
     synergy = as_finite_array(synergy, len(SERVOS), "synergy")
-    included = hand.guide_alpha - synergy[..., :_CMC]
-    possible = (included >= 0) & (included <= np.pi)
-    if not possible.all():
-        *_, column = where = tuple(np.argwhere(~possible)[0])
-        raise WorkspaceError(
-            f"synergy {SERVOS[column]} = {synergy[where]:.6g} rad is outside "
-            f"[{hand.guide_alpha[column] - np.pi:.6g}, {hand.guide_alpha[column]:.6g}] rad"
-        )
+    upper = hand.guide_alpha
+    as_bounded_array(
+        synergy[..., :_CMC], upper - np.pi, upper, SERVOS[:_CMC], "synergy", "rad", tolerance=0.0
+    )
     return unchecked_servo_from_synergy(synergy, hand)
 
 
