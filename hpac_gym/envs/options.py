@@ -1,10 +1,10 @@
 """Options that every environment has: one field each, with its meaning, default and check."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import astuple, dataclass, field, fields, replace
+from dataclasses import astuple, dataclass, replace
 from numbers import Real
 from os import PathLike
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from hpac_gym.physics.settings import BODIES, WorldSettings
 from hpac_gym.physics.simulation import ENGINES
 from hpac_gym.settings import check_bounds, settings_from
 from hpac_gym.tasks.cameras import CameraNoise
-from hpac_gym.tasks.options import Option, check_choice
+from hpac_gym.tasks.options import Option, check_choice, options_of
 from hpac_gym.tasks.task import GoalSetup, Task
 
 MODELS = EXACT, CALIBRATED = "hand", "calibrated"
@@ -30,11 +30,6 @@ _SETUP_ARRAYS = {
 }
 
 
-def _told(meaning: str, values: tuple[str | None, ...] = (), others: str = "") -> dict[str, Option]:
-    """Metadata of a field of `Options` that is an argument of every id."""
-    return {"option": Option(meaning, values, others)}
-
-
 @dataclass(frozen=True, slots=True)
 class Options:
     """Options that every environment has, checked.
@@ -43,72 +38,71 @@ class Options:
         ParameterError: Unknown value, or a bad hand file.
     """
 
-    hand: Hand = field(
-        default=HPAC,
-        metadata=_told(
+    hand: Annotated[
+        Hand,
+        Option(
             "the hand that is simulated, with the servo zeros of its file; `HPAC` is the hand of the paper, "
             "`hpac_gym.model.HPAC`",
             others="`hpac_gym.model.Hand`, path of a hand file",
         ),
-    )
-    model: Hand | str = field(
-        default=HPAC,
-        metadata=_told(
+    ] = HPAC
+    model: Annotated[
+        Hand | str,
+        Option(
             "the hand with which commands and observations are computed: a hand file is what `hpac calibrate` "
             "writes, and its commands invert it; *hand* knows the numbers of the simulated hand exactly; "
             '*calibrated*, for `hands="test"`, has for each held-out hand the file of its own simulated sweep',
             MODELS,
             "`hpac_gym.model.Hand`, path of a hand file",
         ),
-    )
-    obs: str = field(
-        default="deploy",
-        metadata=_told(
+    ] = HPAC
+    obs: Annotated[
+        str,
+        Option(
             "observation: that of a hand and a camera; with terms known only in simulation, for a "
             "critic; or with an image",
         ),
-    )
+    ] = "deploy"
     """Its values are those of the task: `Task.observations`."""
-    reward: str = field(
-        default="dense",
-        metadata=_told("sum of the task's reward terms, or success only", ("dense", "sparse")),
-    )
-    randomize: Randomization = field(
-        default=None,
-        metadata=_told(
+    reward: Annotated[
+        str, Option("sum of the task's reward terms, or success only", ("dense", "sparse"))
+    ] = "dense"
+    randomize: Annotated[
+        Randomization,
+        Option(
             "domain randomization of episodes: a preset, or ranges by name; None is "
             '"nominal", which changes nothing',
             (None, *PRESETS),
             "`hpac_gym.envs.Randomization`, dictionary of ranges",
         ),
-    )
-    noise: CameraNoise = field(
-        default=None,
-        metadata=_told(
+    ] = None
+    noise: Annotated[
+        CameraNoise,
+        Option(
             "standard deviations of the object camera's noise: `position`, of each coordinate "
             "[m]; `angle`, of the rotation about each axis [rad]; `size`, relative. None is "
             + ", ".join(f"{value:g}" for value in astuple(CameraNoise())),
             (None,),
             "`hpac_gym.envs.CameraNoise`, dictionary of its fields",
         ),
-    )
-    engine: str = field(default="mujoco", metadata=_told("the physics engine", tuple(ENGINES)))
-    body: str = field(
-        default="twin",
-        metadata=_told(
+    ] = None
+    engine: Annotated[str, Option("the physics engine", tuple(ENGINES))] = "mujoco"
+    body: Annotated[
+        str,
+        Option(
             "the hand's inertia: *twin* has an armature on every joint, which PyBullet's explicit "
             "torques need; *light* has the links' own inertia and the servos' at their hubs, and needs MuJoCo",
             tuple(BODIES),
         ),
-    )
-    render_mode: str | None = field(
-        default=None,
-        metadata=_told(
+    ] = "twin"
+    render_mode: Annotated[
+        str | None,
+        Option(
             "*rgb_array*: `render()` returns images; *human*: every step "
             "is shown on a page in the browser, in real time",
             (None, *RENDER_MODES),
         ),
-    )
+    ] = None
     world: WorldSettings = WorldSettings()
     """Integration; no environment offers it, since its results would not be those of its id."""
 
@@ -128,11 +122,7 @@ class Options:
         object.__setattr__(self, "noise", settings_from(CameraNoise(), self.noise, "noise"))
 
 
-COMMON = tuple(
-    replace(entry.metadata["option"], name=entry.name, default=entry.default)
-    for entry in fields(Options)
-    if entry.metadata
-)
+COMMON = tuple(option for option in options_of(Options) if option.meaning)
 """The arguments of every id, except those of `gymnasium.make` itself."""
 
 
