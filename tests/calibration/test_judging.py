@@ -26,21 +26,10 @@ def fingers_exchanged(record: Sweep) -> Sweep:
     return record
 
 
-def swept_exchanged(record: Sweep) -> Sweep:
-    labels = {1: 2, 2: 1}
-    return replace(
-        record, swept=np.array([labels.get(int(servo), int(servo)) for servo in record.swept])
-    )
-
-
 def with_joint(record: Sweep, name: str, angles: np.ndarray) -> Sweep:
     joint_pos = record.joint_pos.copy()
     joint_pos[:, JOINT_INDEX[name]] = angles
     return record.with_joint_pos(joint_pos)
-
-
-def resting(record: Sweep) -> Sweep:
-    return with_joint(record, "ring_dip", np.random.default_rng(0).normal(0.0, 2e-3, len(record)))
 
 
 def garbage(record: Sweep, share: float) -> Sweep:
@@ -49,14 +38,6 @@ def garbage(record: Sweep, share: float) -> Sweep:
     joint_pos = record.joint_pos.copy()
     joint_pos[hit] = rng.uniform(0.0, 1.5, (hit.sum(), len(JOINTS)))
     return record.with_joint_pos(joint_pos)
-
-
-def unrested(record: Sweep) -> Sweep:
-    return record[record.phase != 0]
-
-
-def other_radii(record: Sweep) -> Sweep:
-    return with_joint(record, "middle_dip", 1.25 * record.joint_pos[:, JOINT_INDEX["middle_dip"]])
 
 
 def blurred(record: Sweep) -> Sweep:
@@ -78,11 +59,13 @@ REFUSED = [
         r"index_dip turns 0\.0\d of the design's travel, but ring_dip, ring_pip, ring_mcp moved",
     ),
     (
-        swept_exchanged,
+        lambda record: replace(record, swept=np.array([0, 2, 1, 3, 4, 5])[record.swept]),
         r"sweep of middle_mcp: servo middle_mcp moves 0\.00 rad, but index_mcp 1\.\d+ rad; are labels exchanged\?",
     ),
     (
-        resting,
+        lambda record: with_joint(
+            record, "ring_dip", np.random.default_rng(0).normal(0.0, 2e-3, len(record))
+        ),
         r"ring_dip turns 0\.00 of the design's travel; does it rest, or are labels exchanged\?",
     ),
     (
@@ -101,8 +84,16 @@ REFUSED = [
         lambda record: replace(record, servo=-record.servo),
         r"thumb_mp moves from 0\.00 to -1\.\d+ rad, outside of the design's \[0\.00, 1\.\d+\] rad",
     ),
-    (unrested, "0 samples are marked 'rest', at least 5 are needed"),
-    (other_radii, r"middle_dip turns 1\.\d+ rad for each rad of middle_mcp"),
+    (
+        lambda record: record[record.phase != 0],
+        "0 samples are marked 'rest', at least 5 are needed",
+    ),
+    (
+        lambda record: with_joint(
+            record, "middle_dip", 1.25 * record.joint_pos[:, JOINT_INDEX["middle_dip"]]
+        ),
+        r"middle_dip turns 1\.\d+ rad for each rad of middle_mcp",
+    ),
     (blurred, r"thumb_ip is measured to .*°, 1° is needed"),
 ]
 

@@ -50,14 +50,9 @@ FIFTEEN = (
 WIDTHS = [(function, 6) for function in SIX] + [(function, 15) for function in FIFTEEN]
 
 
-def posture(index: int, value: float) -> np.ndarray:
-    joint_pos = np.zeros(15)
-    joint_pos[index] = value
-    return joint_pos
-
-
-def six(index: int, value: float) -> np.ndarray:
-    values = np.zeros(6)
+def alone(width: int, index: int, value: float) -> np.ndarray:
+    """Zeros but for one value."""
+    values = np.zeros(width)
     values[index] = value
     return values
 
@@ -109,27 +104,31 @@ def test_no_other_type_is_made_real_in_silence(function, width, dtype):
 
 
 OUT_OF_RANGE = [
-    (synergy_from_action, six(0, 1.5), r"action thumb_mp = 1\.5 .*\[-1, 1\]"),
-    (synergy_from_action, six(5, -1.001), r"action thumb_cmc = -1\.001 .*\[-1, 1\]"),
-    (servo_from_action, six(2, 2.0), r"action middle_mcp = 2 .*\[-1, 1\]"),
-    (action_from_synergy, six(1, 1.28), r"synergy index_mcp = 1\.28 rad .*\[0, 1\.27\] rad"),
-    (action_from_synergy, six(5, -0.1), r"synergy thumb_cmc = -0\.1 rad .*\[0, 1\.57\] rad"),
-    (servo_from_joints, posture(0, 1.0), r"joint_pos thumb_ip = 1 rad .*\[0, 0\.99\] rad"),
-    (servo_from_joints, posture(4, 1.289), r"joint_pos index_mcp = 1\.289 rad .*\[0, 1\.27\] rad"),
-    (servo_from_joints, posture(14, -0.2), r"joint_pos thumb_cmc = -0\.2 rad .*\[0, 1\.57\] rad"),
-    (servo_from_joints, posture(3, 90.0), r"joint_pos index_pip = 90 rad .*\[0, 1\.61\] rad"),
-    (synergy_from_servo, six(1, 4.0), r"servo index_mcp = 4 rad .*\[0, 1\.38\d*\] rad"),
-    (rigid_joints_from_servo, six(0, -1.0), r"servo thumb_mp = -1 rad .*\[0, 1\.3\d*\] rad"),
-    (elastic_joints_from_servo, six(4, 1e9), r"servo pinky_mcp = 1e\+09 rad .*\] rad"),
-    (transmission_matrix, six(3, 5.0), r"servo ring_mcp = 5 rad .*\] rad"),
+    (synergy_from_action, alone(6, 0, 1.5), r"action thumb_mp = 1\.5 .*\[-1, 1\]"),
+    (synergy_from_action, alone(6, 5, -1.001), r"action thumb_cmc = -1\.001 .*\[-1, 1\]"),
+    (servo_from_action, alone(6, 2, 2.0), r"action middle_mcp = 2 .*\[-1, 1\]"),
+    (action_from_synergy, alone(6, 1, 1.28), r"synergy index_mcp = 1\.28 rad .*\[0, 1\.27\] rad"),
+    (action_from_synergy, alone(6, 5, -0.1), r"synergy thumb_cmc = -0\.1 rad .*\[0, 1\.57\] rad"),
+    (servo_from_joints, alone(15, 0, 1.0), r"joint_pos thumb_ip = 1 rad .*\[0, 0\.99\] rad"),
+    (
+        servo_from_joints,
+        alone(15, 4, 1.289),
+        r"joint_pos index_mcp = 1\.289 rad .*\[0, 1\.27\] rad",
+    ),
+    (servo_from_joints, alone(15, 14, -0.2), r"joint_pos thumb_cmc = -0\.2 rad .*\[0, 1\.57\] rad"),
+    (servo_from_joints, alone(15, 3, 90.0), r"joint_pos index_pip = 90 rad .*\[0, 1\.61\] rad"),
+    (synergy_from_servo, alone(6, 1, 4.0), r"servo index_mcp = 4 rad .*\[0, 1\.38\d*\] rad"),
+    (rigid_joints_from_servo, alone(6, 0, -1.0), r"servo thumb_mp = -1 rad .*\[0, 1\.3\d*\] rad"),
+    (elastic_joints_from_servo, alone(6, 4, 1e9), r"servo pinky_mcp = 1e\+09 rad .*\] rad"),
+    (transmission_matrix, alone(6, 3, 5.0), r"servo ring_mcp = 5 rad .*\] rad"),
     (
         servo_from_synergy,
-        six(2, 2.7),
+        alone(6, 2, 2.7),
         r"synergy middle_mcp = 2\.7 rad .*\[-0\.52\d*, 2\.61\d*\] rad",
     ),
     (
         servo_from_synergy,
-        six(0, -0.6),
+        alone(6, 0, -0.6),
         r"synergy thumb_mp = -0\.6 rad .*\[-0\.52\d*, 2\.61\d*\] rad",
     ),
 ]
@@ -171,13 +170,13 @@ def test_a_command_needs_a_finite_positive_duration(duration):
         stream_command(np.zeros(6), np.ones(6), duration)
 
 
-@pytest.mark.parametrize("servo", [np.zeros(5), np.zeros(7), six(2, np.nan), np.zeros((2, 6))])
+@pytest.mark.parametrize("servo", [np.zeros(5), np.zeros(7), alone(6, 2, np.nan), np.zeros((2, 6))])
 def test_a_command_needs_six_finite_servo_angles(servo):
     with pytest.raises(ShapeError):
         ServoCommand(servo, 0.1)
 
 
-@pytest.mark.parametrize("fault", [np.zeros(5), six(1, np.nan), np.zeros((2, 6))])
+@pytest.mark.parametrize("fault", [np.zeros(5), alone(6, 1, np.nan), np.zeros((2, 6))])
 def test_a_move_needs_two_poses_of_six_finite_angles(fault):
     for start, end in ((fault, np.zeros(6)), (np.zeros(6), fault)):
         with pytest.raises(ShapeError):
