@@ -130,7 +130,8 @@ def _phase_points(
     sweep: Sweep, rows: np.ndarray, joints: list[int], direction: float, differing: bool
 ) -> DigitSamples:
     numbers, place = np.unique(sweep.point[rows], return_inverse=True)
-    off = np.abs(point_medians(sweep, rows)[2][:, joints])
+    servo, _, deviations = point_medians(sweep, rows)
+    off = np.abs(deviations[:, joints])
     far = FAR * np.array([noise_of(values) for values in off.T])
     values = np.where(off <= far, sweep.joint_pos[rows][:, joints], np.nan)
     mean, kept = group_means(values, place)
@@ -138,12 +139,10 @@ def _phase_points(
     noise = np.maximum(
         np.sqrt(np.nansum((values - mean[place]) ** 2, axis=0) / freedom), LEAST_NOISE
     )
-    time = sweep.time[rows]
-    servo = sweep.servo[rows, sweep.swept[rows[0]]]
-    time, servo = group_means(np.stack([time, servo], axis=1), place)[0].T
+    time = group_means(sweep.time[rows][:, None], place)[0][:, 0]
     return DigitSamples(
         tuple(JOINTS[joint] for joint in joints),
-        servo,
+        servo[:, sweep.swept[rows[0]]],
         np.full(len(numbers), direction),
         numbers,
         mean,
@@ -192,8 +191,7 @@ def _without_stops(samples: DigitSamples, servo: int, base: Hand) -> DigitSample
     command[:, servo] = angles
     turns = np.diff(unchecked_synergy_from_servo(command, base)[:, servo])
     turns[turns <= 0] = np.nan  # past the guides, where the design says nothing
-    at_stop = {}
-    starts = {}
+    met = {}
     limit = np.inf
     for name, course in zip(
         samples.joints, group_means(samples.joint_pos[rows], place)[0].T, strict=True
@@ -205,13 +203,12 @@ def _without_stops(samples: DigitSamples, servo: int, base: Hand) -> DigitSample
         turning = np.flatnonzero(~(rate < STOP_SLOPE * usual))
         start = turning[-1] + 1 if turning.size else 0
         if start < len(rate):
-            at_stop[name] = float(np.nanmean(course[start:]))
-            starts[name] = start
+            met[name] = start, float(np.nanmean(course[start:]))
         if start > 0 and (start < len(rate) or rate[-1] < BEFORE_STOP * usual):
             start -= 1  # it met the stop within the preceding step
         if start < len(rate):
             limit = min(limit, angles[start])
     kept = samples.servo <= limit + 1e-6
-    # This one holds the others.
-    stops = {name: at_stop[name] for name, start in starts.items() if start == min(starts.values())}
+    first = min((start for start, _ in met.values()), default=0)  # it holds the others
+    stops = {name: angle for name, (start, angle) in met.items() if start == first}
     return replace(samples.only(kept), stops=stops, at_stops=int((~kept).sum()))
