@@ -1,16 +1,26 @@
-"""Text files read with errors of one line, tables, and atomic file writes."""
+"""Text files read with errors of one line, tables, atomic file writes, and files of lines."""
 
 import os
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Self
 
 from hpac_gym.errors import HpacError
 
 
 class OutputError(HpacError, OSError):
     """A result cannot be written to the requested place."""
+
+
+@contextmanager
+def writing(path: str | os.PathLike[str]) -> Iterator[None]:
+    """Tell an `OSError` of the block as an `OutputError` that names the file."""
+    try:
+        yield
+    except OSError as error:
+        raise OutputError(f"cannot write '{path}': {error.strerror or error}") from None
 
 
 @contextmanager
@@ -23,13 +33,11 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
             the disk is full.
     """
     target = _file(path)
-    try:
+    with writing(path):
         target.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(
             prefix=f".{target.stem}-", suffix=target.suffix, dir=target.parent
         )
-    except OSError as error:
-        raise OutputError(f"cannot write '{path}': {error.strerror or error}") from None
     os.close(handle)
     temporary = Path(name)
     try:
@@ -57,6 +65,43 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
     """
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
+
+
+class Lines:
+    """A text file that has each line as soon as it is written: complete after ``kill -9``.
+
+    Args:
+        path: the file.
+        mode: of `open`.
+
+    Raises:
+        OutputError: It cannot be written.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], mode: str = "w") -> None:
+        self._path = path
+        with writing(path):
+            self._file = open(path, mode, encoding="utf-8", buffering=1)  # noqa: SIM115 - by close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def append(self, line: str) -> None:
+        """Write a line.
+
+        Raises:
+            OutputError: The disk is full.
+        """
+        with writing(self._path):
+            self._file.write(line + "\n")
+
+    def close(self) -> None:
+        """Close the file."""
+        with suppress(OSError):  # of a line that was told when it was written
+            self._file.close()
 
 
 def read_text(

@@ -8,9 +8,7 @@ import json
 import secrets
 from collections import deque
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass, field
-from os import PathLike
 from weakref import WeakMethod
 
 import numpy as np
@@ -20,7 +18,7 @@ from hpac_gym.bridge.frame import Fields, Frame, FrameSplitter, encode
 from hpac_gym.bridge.protocol import MESSAGE_BY_CODE, MESSAGES, Reason, State, name_of
 from hpac_gym.bridge.reports import KnownState
 from hpac_gym.bridge.transport import Transport
-from hpac_gym.output import OutputError
+from hpac_gym.output import Lines
 
 _ANSWERS = {"hello": "device_hello", "status": "device_status"}
 """Answers to executed messages other than ACK, which answers all others and every refusal."""
@@ -55,7 +53,7 @@ class LinkStatistics:
         )
 
 
-class WireLog:
+class WireLog(Lines):
     """Logs all frames, one JSON object per line; a context manager.
 
     Each line has `t` [s], `direction` (`sent` or `received`), `hex` (the frame between its zeros),
@@ -66,19 +64,6 @@ class WireLog:
     Raises:
         OutputError: The file cannot be written.
     """
-
-    def __init__(self, path: str | PathLike[str]) -> None:
-        try:
-            self._file = open(path, "w", encoding="utf-8", buffering=1)  # noqa: SIM115 - by close()
-        except OSError as error:
-            raise OutputError(f"cannot write '{path}': {error.strerror}") from None
-
-    def __enter__(self) -> WireLog:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        with suppress(OSError):  # of a line that was told when it was written
-            self.close()
 
     def record(
         self,
@@ -107,11 +92,7 @@ class WireLog:
             line["state"] = name_of(State, frame.number("state"))
         if round_trip is not None:
             line["round_trip"] = round(round_trip, 7)
-        self._file.write(json.dumps(line) + "\n")
-
-    def close(self) -> None:
-        """Close the file."""
-        self._file.close()
+        self.append(json.dumps(line))
 
 
 @dataclass(slots=True)

@@ -3,12 +3,13 @@
 Whatever happens, the hand opens slowly and is disarmed before anything else is done."""
 
 import json
+import os
 from collections.abc import Callable
-from contextlib import AbstractContextManager, suppress
+from contextlib import suppress
 from dataclasses import asdict
 from itertools import count
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from hpac_gym.deploy.observer import Observer
 from hpac_gym.deploy.poses import Source, averaged
 from hpac_gym.model import SERVOS
 from hpac_gym.model.checks import Array
-from hpac_gym.output import OutputError
+from hpac_gym.output import Lines, OutputError, writing
 from hpac_gym.policies import Policy
 from hpac_gym.policies.policy import ask
 from hpac_gym.tasks.task import CONTROL_HZ
@@ -34,27 +35,26 @@ OLDEST = 0.5
 LOG_VERSION = 1
 
 
-class Log(AbstractContextManager):
-    """One JSON object a line, in the file as soon as it is written: complete after ``kill -9``.
+class Log(Lines):
+    """One JSON object a line.
 
     A log of that name, or its wire log, is kept under the next free number; who still writes to it
     goes on there.
+
+    Args:
+        path: the file; None keeps nothing.
 
     Raises:
         OutputError: The file cannot be written.
     """
 
     def __init__(self, path: Path | None) -> None:
-        self._path = path
-        self._file: TextIO | None = None
         if path is not None:
-            try:
+            with writing(path):
                 path.parent.mkdir(parents=True, exist_ok=True)
                 if path.is_file() or wire_log(path).is_file():
                     _keep(path)
-                self._file = path.open("a", encoding="utf-8", buffering=1)
-            except OSError as error:
-                raise OutputError(f"cannot write '{path}': {error.strerror}") from None
+        super().__init__(path or os.devnull, "a")
 
     def write(self, **line: Any) -> None:
         """Write a line.
@@ -62,20 +62,9 @@ class Log(AbstractContextManager):
         Raises:
             OutputError: The disk is full.
         """
-        if self._file is None:
-            return
-        try:
-            text = json.dumps(
-                line, default=lambda v: v.tolist() if isinstance(v, np.ndarray) else str(v)
-            )
-            self._file.write(text + "\n")
-        except OSError as error:
-            raise OutputError(f"cannot write '{self._path}': {error.strerror}") from None
-
-    def __exit__(self, *_: object) -> None:
-        with suppress(OSError):
-            if self._file is not None:
-                self._file.close()
+        self.append(
+            json.dumps(line, default=lambda v: v.tolist() if isinstance(v, np.ndarray) else str(v))
+        )
 
 
 def _keep(path: Path) -> None:

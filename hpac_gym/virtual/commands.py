@@ -98,7 +98,7 @@ def run(options: argparse.Namespace) -> int:
         hand = Virtual(body, board, relay, *ports, options.blind, options.json)
         stack.enter_context(closing(hand))
         if options.angles:
-            hand.tracker = stack.enter_context(closing(Tracker(options.angles)))
+            hand.tracker = stack.enter_context(Tracker(options.angles))
         if options.view:
             from hpac_gym.view.page import HandPage
 

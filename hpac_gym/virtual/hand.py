@@ -3,8 +3,7 @@
 import json
 import select
 import time
-from collections.abc import Iterator
-from contextlib import closing, contextmanager, suppress
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +22,7 @@ from hpac_gym.command import say
 from hpac_gym.deploy import arm as arms, poses
 from hpac_gym.deploy.errors import MALFORMED, udp
 from hpac_gym.model.checks import Array
-from hpac_gym.output import OutputError
+from hpac_gym.output import Lines
 from hpac_gym.physics.engine import PhysicsError, SceneState
 from hpac_gym.tasks.posture import CAMERA_NOISE
 from hpac_gym.tasks.task import OUTCOMES, RUNNING
@@ -34,7 +33,7 @@ POSE_HZ = 60
 """Poses a second, and looks at the pulses."""
 
 
-class Tracker:
+class Tracker(Lines):
     """A camera that measures the joints, as a file of angles for `hpac sweep --angles`.
 
     Raises:
@@ -42,30 +41,14 @@ class Tracker:
     """
 
     def __init__(self, path: Path) -> None:
+        super().__init__(path)
         self._rng = np.random.default_rng(0)
-        self._path = path
-        with self._told():
-            self._file = path.open("w", encoding="utf-8", buffering=1)
-            print("time_s", *JOINT_COLUMNS, sep=",", file=self._file)
-
-    @contextmanager
-    def _told(self) -> Iterator[None]:
-        try:
-            yield
-        except OSError as error:
-            raise OutputError(f"cannot write '{self._path}': {error.strerror}") from None
+        self.append(",".join(("time_s", *JOINT_COLUMNS)))
 
     def write(self, joint_pos: Array) -> None:
         """Write joint angles, shape (15,) [rad], with the camera's noise."""
         seen = joint_pos + CAMERA_NOISE * self._rng.standard_normal(len(joint_pos))
-        row = [f"{angle:.5f}" for angle in seen]
-        with self._told():
-            print(f"{time.time():.4f}", *row, sep=",", file=self._file)
-
-    def close(self) -> None:
-        """Close the file."""
-        with suppress(OSError):  # of a row that was told when it was written
-            self._file.close()
+        self.append(",".join((f"{time.time():.4f}", *(f"{angle:.5f}" for angle in seen))))
 
 
 class Virtual:
