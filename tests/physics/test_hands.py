@@ -17,6 +17,7 @@ from hpac_gym.model import (
     JOINT_INDEX,
     JOINTS,
     SERVOS,
+    joints_from_synergy,
     servo_from_synergy,
     synergy_from_servo,
 )
@@ -117,12 +118,13 @@ def test_mujoco_loads_the_links_of_every_hand(every_hand):
         np.testing.assert_allclose(chords, variant.hand.rest_chord, rtol=1e-8)
         full = np.zeros((model.nv, model.nv))
         joints = [model.joint(name) for name in JOINTS]
-        for joint in joints:
-            data.qpos[joint.qposadr[0]] = 0.0
+        synergy = 0.7 * variant.hand.synergy_max
+        for joint, angle in zip(joints, joints_from_synergy(synergy, variant.hand), strict=True):
+            data.qpos[joint.qposadr[0]] = angle
         mujoco.mj_forward(model, data)
         mujoco.mj_fullM(model, data, full)
         dofs = [joint.dofadr[0] for joint in joints]
-        wanted = mass_matrix(variant.geometry, BODIES["twin"].armature, np.zeros(6), variant.hand)
+        wanted = mass_matrix(variant.geometry, BODIES["twin"].armature, synergy, variant.hand)
         np.testing.assert_allclose(full[np.ix_(dofs, dofs)], wanted, rtol=1e-7, atol=1e-11)
 
 

@@ -12,7 +12,6 @@ import pytest
 from hpac_gym.body.geometry import Capsule, link_poses, load_geometry
 from hpac_gym.body.urdf import HAND_ON_WRIST_URDF, HAND_URDF, solid_inertia
 from hpac_gym.model import FINGERS, HPAC, JOINTS, joints_from_synergy, servo_from_synergy
-from hpac_gym.physics.mechanics import mass_matrix
 from hpac_gym.physics.mjcf import FILES
 from hpac_gym.physics.settings import BODIES
 from hpac_gym.physics.tendons import Tendons
@@ -151,19 +150,6 @@ def test_a_fist_closes_in_front_of_the_palm():
         assert tip[0] > 0, "flexion goes out of the palm"
         assert tip[2] < base[2], "and folds back"
         assert distance(model, data, f"{finger}_dip_link", 0) > 0
-
-
-def test_mass_matrix_is_that_of_the_model():
-    for body, name in (("twin", "hpac_hand.xml"), ("twin", "hpac_hand_on_wrist.xml")):
-        model, data = loaded(name)
-        synergy = 0.7 * HPAC.synergy_max
-        set_joints(model, data, joints_from_synergy(synergy))
-        full = np.zeros((model.nv, model.nv))
-        mujoco.mj_fullM(model, data, full)
-        ours = mass_matrix(GEOMETRY, BODIES[body].armature, synergy)
-        np.testing.assert_allclose(
-            ours, full[np.ix_(dofs(model), dofs(model))], rtol=1e-9, atol=1e-12
-        )
 
 
 @pytest.mark.parametrize("name", FILES)
