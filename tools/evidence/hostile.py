@@ -62,8 +62,7 @@ def _hostile_frame(rng: np.random.Generator, session: int, limits_hash: int, num
 def damaged(kind: Hands, frames: int = 3000) -> Played:
     """MOVE frames with one to eight flipped bits: number of executed ones."""
     rng = np.random.default_rng(8)
-    hand = kind()
-    link = linked(hand, Action.hold, 2.0)
+    hand, link = linked(kind(), Action.hold, 2.0)
     damaged = 0
     for number in range(frames):
         move = struct.pack("<IH6h", link.info.session, 1000, *rng.integers(0, 10_000, 6).tolist())
@@ -82,8 +81,7 @@ def damaged(kind: Hands, frames: int = 3000) -> Played:
 
 def overload(kind: Hands) -> Played:
     """Time until a fully closed hand opens by itself [s]."""
-    hand = kind(BOARD_TICK_US)
-    link = linked(hand, Action.hold)
+    hand, link = linked(kind(BOARD_TICK_US), Action.hold)
     link.move(ServoCommand(HPAC.servo_max, TIME))
     start_us = hand.now_us
     with suppress(BridgeError):

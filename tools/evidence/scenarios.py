@@ -27,13 +27,15 @@ Played = tuple[float, int]
 Hands = type[JudgedHand]
 
 
-def linked(hand: JudgedHand, action: Action = Action.relax, watchdog: float = 0.25) -> HandLink:
-    """A link that has armed the hand and started a move."""
+def linked(
+    hand: JudgedHand, action: Action = Action.relax, watchdog: float = 0.25
+) -> tuple[JudgedHand, HandLink]:
+    """The hand, and a link that has armed it and started a move."""
     link = HandLink(hand.connect)
     link.connect()
     link.arm(action, watchdog)
     link.move(ServoCommand(HALF, TIME))
-    return link
+    return hand, link
 
 
 def _move(session: bytes, pose: int, duration_ms: int = 1000) -> bytes:
@@ -46,8 +48,7 @@ def silence(kind: Hands, action: Action) -> Played:
     broken = tried = 0
     longest = 4.0 + (CONSTANTS["hold_max_ms"] * 1e-3 if action == Action.hold else 0.0)
     for number, watchdog in enumerate((0.1, 0.25, 2.0)):
-        hand = kind(BOARD_TICK_US, start_us=7_300 * number)
-        link = linked(hand, action, watchdog)
+        hand, link = linked(kind(BOARD_TICK_US, start_us=7_300 * number), action, watchdog)
         link.sleep(0.3 * TIME)
         let_pass(hand, watchdog + longest)
         broken += hand.oracle.broken.total()
@@ -70,8 +71,7 @@ def silence_time(kind: Hands) -> Played:
     tried = 0
     for watchdog in (0.1, 0.25, 0.5, 2.0):
         for offset_us in range(0, BOARD_TICK_US, 3_700):
-            hand = kind(BOARD_TICK_US, start_us=offset_us)
-            link = linked(hand, Action.detach, watchdog)
+            hand, link = linked(kind(BOARD_TICK_US, start_us=offset_us), Action.detach, watchdog)
             link.heartbeat()
             tried += 1
             worst = max(worst, _ms_until_silent(hand, watchdog + PATIENCE) - watchdog * 1e3)
@@ -86,15 +86,16 @@ def fed_by_strangers(kind: Hands) -> Played:
     """The controller is silent while others request STATUS and send HEARTBEAT, MOVE and CLEAR of
     other sessions.
     """
-    hand = kind()
-    link = linked(hand, Action.detach)
+    hand, link = linked(kind(), Action.detach)
     session = struct.pack("<I", link.info.session ^ 1)
     others = [
         (wire.STATUS, bytes(2)),
         (wire.HEARTBEAT, session),
         (wire.MOVE, _move(session, 100, 500)),
+        (wire.CLEAR, session),
+        (wire.HEARTBEAT, bytes(4)),
+        (wire.HELLO, bytes(4)),
     ]
-    others += [(wire.CLEAR, session), (wire.HEARTBEAT, bytes(4)), (wire.HELLO, bytes(4))]
     for number in range(30):
         message, payload = others[number % len(others)]
         hand.receive(wire.frame(message, 1000 + number, payload))
@@ -113,9 +114,8 @@ def random_moves(kind: Hands, rule: str, moves: int = 400) -> Played:
 @cache
 def _moved_at_random(kind: Hands, moves: int) -> Oracle:
     """The oracle of a hand after these moves, for all the rules that they try."""
-    hand = kind()
     rng = np.random.default_rng(4)
-    link = linked(hand, Action.hold, 2.0)
+    hand, link = linked(kind(), Action.hold, 2.0)
     for number in range(moves):
         share = rng.random(len(SERVOS)) if rng.random() < 0.7 else rng.normal(0.5, 1.0, len(SERVOS))
         duration = float(rng.choice([0.01, 0.05, 0.3, 1.0])) * rng.random() + 0.01
@@ -132,8 +132,7 @@ def _moved_at_random(kind: Hands, moves: int) -> Oracle:
 
 def starts(kind: Hands) -> Played:
     """Arming at rest, and again at the pose in which CLEAR has left the hand."""
-    hand = kind()
-    link = linked(hand)
+    hand, link = linked(kind())
     for _ in range(5):
         link.wait()
         link.clear()
@@ -154,13 +153,13 @@ def unarmed(kind: Hands) -> Played:
         (wire.HEARTBEAT, session),
         move,
         (wire.STATUS, struct.pack("<H", 20)),
+        (wire.CLEAR, session),
     ]
-    frames.append((wire.CLEAR, session))
     with suppress(BridgeError):
         for number, (message, payload) in enumerate(frames * 3):
             hand.receive(wire.frame(message, number + 1, payload))
             let_pass(hand, 0.1)
-        link = linked(hand)
+        _, link = linked(hand)
         link.clear()
         let_pass(hand, 0.5)
     return hand.oracle.broken["unarmed"], hand.oracle.tried["unarmed"]
@@ -174,8 +173,7 @@ def estops(kind: Hands) -> Played:
     worst = 0.0
     tried = 0
     for number in range(24):
-        hand = kind(BOARD_TICK_US, start_us=1_700 * number)
-        link = linked(hand, Action(number % 3))
+        hand, link = linked(kind(BOARD_TICK_US, start_us=1_700 * number), Action(number % 3))
         link.sleep(TIME * rng.random())
         payload = rng.bytes(int(rng.integers(0, 12))) if number % 2 else b""
         frame = wire.frame(
@@ -195,11 +193,9 @@ def ways_out_of_a_fault(kind: Hands) -> Played:
     """After an e-stop, every message except the session's CLEAR: number of them that restore pulses
     or leave the fault.
     """
-    hand = kind()
-    link = linked(hand, Action.detach)
+    hand, link = linked(kind(), Action.detach)
     link.estop()
     out = 0
-    tried = 0
     session = struct.pack("<I", link.info.session)
     arm = session + struct.pack("<IHB", link.info.limits_hash, 250, 0)
     move = _move(session, 100)
@@ -209,8 +205,6 @@ def ways_out_of_a_fault(kind: Hands) -> Played:
         (wire.HEARTBEAT, session),
         (wire.STATUS, bytes(2)),
         (wire.ESTOP, b""),
-    ]
-    frames += [
         (wire.CLEAR, struct.pack("<I", link.info.session ^ 1)),
         (wire.HELLO, bytes(4)),
         (wire.HELLO, session),
@@ -218,15 +212,13 @@ def ways_out_of_a_fault(kind: Hands) -> Played:
     for number, (message, payload) in enumerate(frames, 1000):
         hand.receive(wire.frame(message, number, payload))
         let_pass(hand, 0.1)
-        tried += 1
         out += link.status().state != "fault" or bool(hand.pulses().any())
-    return out, tried
+    return out, len(frames)
 
 
 def old_moves(kind: Hands) -> Played:
     """Repetition of the same MOVE and of older ones: after later ones, and after CLEAR and ARM."""
-    hand = kind()
-    link = linked(hand, Action.hold, 2.0)
+    hand, link = linked(kind(), Action.hold, 2.0)
     link.wait()
     session = struct.pack("<I", link.info.session)
     moves = [wire.frame(wire.MOVE, 30_000 + i, _move(session, 1000 * (i + 1))) for i in range(5)]
