@@ -57,6 +57,12 @@ class Phalanx:
     def link(self) -> str:
         return f"{self.joint}_link"
 
+    @property
+    def pin(self) -> Capsule:
+        """Pin of its joint, which is drawn but touches nothing."""
+        reach = 0.75 * self.capsule.radius
+        return Capsule((0.0, -reach, 0.0), (0.0, reach, 0.0), 0.5 * self.capsule.radius)
+
 
 @dataclass(frozen=True, slots=True)
 class Digit:

@@ -92,10 +92,8 @@ def _add_phalanx(robot: Xml.Element, phalanx: Phalanx, geometry: Geometry, tip: 
     """Add a link with its joint."""
     link = Xml.SubElement(robot, "link", name=phalanx.link)
     add_inertial(link, *solid_inertia((phalanx.capsule,), phalanx.mass), phalanx.mass)
-    radius = phalanx.capsule.radius
     _add_visual(link, phalanx.capsule, "phalanx", tip)
-    pin = Capsule((0.0, -0.75 * radius, 0.0), (0.0, 0.75 * radius, 0.0), 0.5 * radius)
-    _add_visual(link, pin, "hinge")
+    _add_visual(link, phalanx.pin, "hinge")
     _add_collision(link, phalanx.capsule)
     index = JOINTS.index(phalanx.joint)
     limits = HPAC.joint_min[index], HPAC.joint_max[index], geometry.effort, geometry.velocity

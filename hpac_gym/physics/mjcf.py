@@ -202,20 +202,14 @@ def _add_phalanx(
         body[-1].set("armature", text_of((settings.hub_inertia / hand.cmc_gain**2,)))
     finger = phalanx.joint.split("_")[0] in FINGERS
     _add_geom(body, phalanx.capsule, "finger" if finger else "body", "phalanx", phalanx.link)
-    radius = phalanx.capsule.radius
-    _add_geom(
-        body,
-        Capsule((0.0, -0.75 * radius, 0.0), (0.0, 0.75 * radius, 0.0), 0.5 * radius),
-        "drawn",
-        "hinge",
-    )
+    _add_geom(body, phalanx.pin, "drawn", "hinge")
     if phalanx.joint.split("_")[1] in ("ip", "dip"):
         Xml.SubElement(
             body,
             "geom",
             {"class": "drawn"},
             type="sphere",
-            size=text_of((1.003 * radius,)),
+            size=text_of((1.003 * phalanx.capsule.radius,)),
             material="pad",
             pos=text_of(phalanx.capsule.end),
         )

@@ -69,12 +69,9 @@ def hand_meshes(geometry: Geometry) -> Iterator[tuple[str, Trimesh, Color]]:
         yield "palm", _of_hand(part), COLORS["palm" if isinstance(part, Box) else "housing"]
     for digit in geometry.digits:
         for phalanx in digit.phalanges:
-            radius = phalanx.capsule.radius
-            side = (0.0, 0.75 * radius, 0.0)
-            hinge = Capsule(tuple(-value for value in side), side, 0.5 * radius)
             yield phalanx.link, _of_hand(phalanx.capsule), COLORS["phalanx"]
-            yield phalanx.link, _of_hand(hinge), COLORS["hinge"]
-        pad = solid("sphere", (1.003 * radius,) * 3)
+            yield phalanx.link, _of_hand(phalanx.pin), COLORS["hinge"]
+        pad = solid("sphere", (1.003 * phalanx.capsule.radius,) * 3)
         yield phalanx.link, moved(pad, phalanx.capsule.end), COLORS["pad"]
 
 
