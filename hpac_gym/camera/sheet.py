@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from hpac_gym.camera import opencv
-from hpac_gym.model import JOINTS, SERVOS
+from hpac_gym.model import FINGERS, digit_joints
 from hpac_gym.model.checks import Array
 from hpac_gym.output import OutputError, replacing
 
@@ -63,15 +63,9 @@ HAND = _board("hand", 4, 20.0, 5.0, (115.0, 240.0))
 """The boards: on the object, and on the plate of the hand."""
 
 CHAINS = {
-    servo: (base, *(joint for joint in reversed(JOINTS) if joint in joints))
-    for servo, base, joints in (
-        ("thumb_mp", "metacarpal", ("thumb_mp", "thumb_ip")),
-        *(
-            (f"{finger}_mcp", "palm", tuple(f"{finger}_{part}" for part in ("mcp", "pip", "dip")))
-            for finger in ("index", "middle", "ring", "pinky")
-        ),
-        ("thumb_cmc", "palm", ("thumb_cmc",)),
-    )
+    "thumb_mp": ("metacarpal", *digit_joints("thumb")),
+    **{f"{finger}_mcp": ("palm", *digit_joints(finger)) for finger in FINGERS},
+    "thumb_cmc": ("palm", "thumb_cmc"),
 }
 """What the tags of the servo's strip are glued to, by servo: a link that stands still, then the
 links of the joints that the servo moves, from the palm outwards.
@@ -81,14 +75,13 @@ links of the joints that the servo moves, from the palm outwards.
 def _strips() -> dict[str, list[Tag]]:
     strips = {}
     first = 8
-    for place, servo in enumerate(SERVOS):
-        column = place % 2
-        row = place // 2
+    for place, (servo, links) in enumerate(CHAINS.items()):
+        row, column = divmod(place, 2)
         strips[servo] = [
-            Tag(first + i, name, 14.0, (24.0 + 97.0 * column + 22.0 * i, 178.0 - 58.0 * row))
-            for i, name in enumerate(CHAINS[servo])
+            Tag(first + i, link, 14.0, (24.0 + 97.0 * column + 22.0 * i, 178.0 - 58.0 * row))
+            for i, link in enumerate(links)
         ]
-        first += len(CHAINS[servo])
+        first += len(links)
     return strips
 
 
