@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, lru_cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +18,9 @@ from hpac_gym.model import (
     Hand,
     ServoCommand,
     action_from_synergy,
+    elastic_joints_from_servo,
     load_hand,
+    servo_from_synergy,
     streamed_servo,
 )
 from hpac_gym.model.calibration import Calibration, Friction
@@ -89,6 +91,8 @@ class Commands:
         self._flexing = np.ones((num_worlds, len(SERVOS)), dtype=bool)
         self._faults: list[LinkFaults | None] = [None] * num_worlds
         self._map = CommandMap(model if isinstance(model, Hand) else HPAC, num_worlds)
+        # Most tasks begin with the same posture.
+        self._start_of = lru_cache(maxsize=16)(partial(_start_of, self._map.bounds))
 
     def disturb(self, world: int, faults: LinkFaults | None) -> None:
         """Let a share of a world's commands be lost or late from now on."""
@@ -100,14 +104,17 @@ class Commands:
         self.servo, self.predicted, self.last_action = (
             kept.copy() for kept in (self.servo, self.predicted, self.last_action)
         )
+        for world, setup in zip(worlds, setups, strict=True):
+            start = self._start_of(*setup.synergy.tolist())
+            self.servo[world], self.predicted[world], self.last_action[world] = start
         index = np.asarray(worlds)
         self._flexing[index] = True
         if isinstance(self._model, str):
             self._map.take(worlds, [_model(self._model, setup) for setup in setups])
-        synergy = np.stack([setup.synergy for setup in setups])
-        self.servo[index] = self._map.servo_from_synergy(synergy, self._flexing[index], index)
-        self.predicted[index] = self._map.joints_from_servo(self.servo, self._flexing)[index]
-        self.last_action[index] = action_from_synergy(synergy, self._map.bounds)
+        if self._map.inverts_files:
+            synergy = np.stack([setup.synergy for setup in setups])
+            self.servo[index] = self._map.servo_from_synergy(synergy, self._flexing[index], index)
+            self.predicted[index] = self._map.joints_from_servo(self.servo, self._flexing)[index]
         self._arrived[index] = self.servo[index]
 
     def target(self, actions: NDArray) -> Array:
@@ -175,6 +182,14 @@ class Commands:
     def command(self) -> ServoCommand:
         """Last servo command of world 0, as a bridge sends it to the real hand."""
         return ServoCommand(self.servo[0], 1.0 / CONTROL_HZ)
+
+
+def _start_of(hand: Hand, *synergy: float) -> tuple[Array, Array, Array]:
+    """Servo angles [rad], predicted joint angles [rad] and action of a hand that starts at a
+    synergy [rad].
+    """
+    servo = servo_from_synergy(synergy, hand)
+    return servo, elastic_joints_from_servo(servo, hand), action_from_synergy(synergy, hand)
 
 
 def _model(name: str, setup: SceneSetup) -> Hand:
