@@ -14,14 +14,22 @@ from functools import partial
 import numpy as np
 
 from experiments.bench import PROTOCOL, segment, wander
+from experiments.populations import geometry, varied_digit
 from hpac_gym.calibration.record import Sweep, concatenate
 from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, SERVOS, Digit, Hand
 from hpac_gym.model.checks import Array
-from hpac_gym.model.variation import scaled_digit
 
 SEED = 33_400
 """First seed of the hands; no other experiment uses it."""
 CMC = len(SERVOS) - 1
+REACH = {
+    **geometry(0.03),
+    "path_length": 0.03,
+    "spring_stiffness": 0.25,
+    "tendon_stiffness": 0.25,
+    "drive_stiffness": 0.25,
+}
+"""The parameters are drawn uniformly within these relative deviations from the nominal ones."""
 RATE_HZ = 20.0
 _GRID = 160  # angles of the root joint at which a digit is tabulated
 _ROUNDS = 40
@@ -176,7 +184,10 @@ class ImperfectHand:
         rng = np.random.default_rng([SEED, seed])
         hand = replace(
             HPAC,
-            digits={name: _near(digit, rng) for name, digit in HPAC.digits.items()},
+            digits={
+                name: varied_digit(digit, REACH, partial(rng.uniform, -1.0, 1.0))
+                for name, digit in HPAC.digits.items()
+            },
             cmc_gain=HPAC.cmc_gain * (1 + 0.01 * rng.standard_normal()),
         )
         digits = []
@@ -202,21 +213,6 @@ class ImperfectHand:
         horn += session.warm[CMC] * (1 - np.exp(-time / session.warming_s)) - self.cmc.dead_band
         joint_pos[:, JOINT_INDEX["thumb_cmc"]] = np.maximum(self.hand.cmc_gain * horn, 0.0)
         return joint_pos
-
-
-def _near(digit: Digit, rng: np.random.Generator) -> Digit:
-    """A digit within ±3 % of its geometry and ±25 % of its stiffnesses."""
-    sizes = dict.fromkeys(
-        ("d1", "d2", "alpha", "servo_radius", "joint_radius", "path_length"), 0.03
-    )
-    sizes |= dict.fromkeys(("spring_stiffness", "tendon_stiffness", "drive_stiffness"), 0.25)
-    return scaled_digit(
-        digit,
-        {
-            name: 1 + size * rng.uniform(-1, 1, np.shape(getattr(digit, name)))
-            for name, size in sizes.items()
-        },
-    )
 
 
 @dataclass(frozen=True, slots=True)
