@@ -11,8 +11,6 @@ from contextlib import ExitStack, closing, suppress
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.body.own_objects import own_object
 from hpac_gym.bridge import HandLink, WireLog
@@ -25,7 +23,7 @@ from hpac_gym.deploy.episode import (
     LOG_VERSION,
     OLDEST,
     Log,
-    checked,
+    decided,
     run_episode,
     wire_log,
     wrist,
@@ -36,7 +34,6 @@ from hpac_gym.deploy.poses import averaged, source_of
 from hpac_gym.evaluation import options as environment
 from hpac_gym.model import HPAC, SERVOS, load_hand
 from hpac_gym.policies.loading import NAMES, NORMALIZE, about, load_policy, needed_options
-from hpac_gym.policies.policy import ask
 from hpac_gym.policies.policy_file import policy_path
 
 
@@ -190,15 +187,12 @@ def _dry_run(options: argparse.Namespace, observer: Observer, policy: Any, sourc
     """Print every entry of the first observation with name and unit, and the first command."""
     pose = averaged(source, options.average, options.oldest)
     observer.expects(pose)
-    observation = observer.see(pose)
+    observation, action, target, _ = decided(policy, observer, pose)
     labels = [(term, label) for term in observer.task.terms for label in term.labels]
     entries = [
         {"name": term.name, "label": label, "value": float(value), "unit": term.unit}
         for (term, label), value in zip(labels, observation, strict=True)
     ]
-    given, _ = ask(policy, observation, None, np.array([True]))
-    action = checked(given, observer)
-    target = observer.command(action)
     placed = wrist(action, observer)
     if options.json:
         commands = {"start_rad": observer.servo.tolist(), "first_command_rad": target.tolist()}

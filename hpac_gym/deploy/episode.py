@@ -12,12 +12,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hpac_gym.bridge import HandLink, StreamCounts
 from hpac_gym.bridge.gentle import go, open_hand, release
 from hpac_gym.deploy.arm import Arm
 from hpac_gym.deploy.errors import DeployError, PoseError
-from hpac_gym.deploy.observer import Observer
+from hpac_gym.deploy.observer import Observer, Pose
 from hpac_gym.deploy.poses import Source, averaged
 from hpac_gym.model import SERVOS
 from hpac_gym.model.checks import Array
@@ -123,11 +124,8 @@ def run_episode(
         pose = averaged(source, seconds, oldest, pause=link.sleep, clock=clock)
         observer.expects(pose)
         observer.start()
-        observation = observer.see(pose)
         # It may take longer than the watchdog of an armed hand waits.
-        given, memory = ask(policy, observation, None, np.array([True]))
-        action = checked(given, observer)
-        target = observer.command(action)
+        observation, action, target, memory = decided(policy, observer, pose)
         link.arm(watchdog=WATCHDOG)
         note("to the start posture")
         go(link, np.asarray(observer.servo))
@@ -153,10 +151,9 @@ def run_episode(
             if step:  # the first is decided
                 if age <= oldest:  # once the hand has closed, fingers and arm hide the object
                     pose = latest
-                observation = observer.see(pose)
-                given, memory = ask(policy, observation, memory, np.array([False]))
-                action = checked(given, observer)
-                target = observer.command(action)
+                observation, action, target, memory = decided(
+                    policy, observer, pose, memory, begins=False
+                )
             servo = stream.send(target)
             observer.sent(servo)
             figures = {"step": step, "t": clock() - begun, "phase": phase}
@@ -188,17 +185,33 @@ def run_episode(
     return counts
 
 
-def checked(given: Array, observer: Observer) -> Array:
-    """A policy's action, clipped to −1…1.
+def decided(
+    policy: Policy, observer: Observer, pose: Pose, memory: Any = None, begins: bool = True
+) -> tuple[NDArray[np.float32], Array, Array, Any]:
+    """What a policy observes and decides in a step.
+
+    Args:
+        policy: loaded for `observer`.
+        observer: the task on this hand.
+        pose: the object.
+        memory: of the policy, from the step before.
+        begins: whether it is the first step.
+
+    Returns:
+        The observation; the action, clipped to −1…1; servo angles for it, shape (6,) [rad]; and the
+        policy's memory.
 
     Raises:
-        DeployError: It has another shape, or a number that is not finite.
+        DeployError: The action has another shape, or a number that is not finite.
     """
+    observation = observer.see(pose)
+    given, memory = ask(policy, observation, memory, np.array([begins]))
     action = np.asarray(given, dtype=float)
     shape = observer.action_space.shape
     if action.shape != shape or not np.isfinite(action).all():
         raise DeployError(f"the policy's action must be {shape[0]} numbers, not {action.tolist()}")
-    return np.clip(action, -1.0, 1.0)
+    action = np.clip(action, -1.0, 1.0)
+    return observation, action, observer.command(action), memory
 
 
 def wrist(action: Array, observer: Observer) -> dict[str, float]:
