@@ -26,7 +26,7 @@ from hpac_gym.physics.engine import Engine, PhysicsError, PhysicsWarning, SceneS
 from hpac_gym.physics.settings import BODIES, HandSettings
 from hpac_gym.physics.simulation import Simulation, make_engine
 from hpac_gym.tasks.options import check_choice
-from hpac_gym.tasks.quality import grasp_quality
+from hpac_gym.tasks.quality import contact_wrenches, largest_ball
 from hpac_gym.tasks.task import CONTROL_HZ, FAILURE, RUNNING, GoalSetup, Task
 from hpac_gym.tasks.terms import Moment
 
@@ -275,12 +275,16 @@ def _link_faults(values: Mapping[str, Array], rng: np.random.Generator) -> LinkF
 
 
 def quality(episodes: Episodes, world: int) -> float:
-    """Grasp quality epsilon of a world [N]; since it takes milliseconds, it is reported only in an
-    episode's last step.
+    """Grasp quality epsilon of a world [N], with torques divided by the object's largest half
+    extent; since it takes milliseconds, it is reported only in an episode's last step.
     """
     if not episodes.now.state.touching[world].any():  # most failed episodes
         return 0.0
-    return grasp_quality(episodes.simulation.engine.contacts(world), episodes.setups[world].object)
+    found = episodes.simulation.engine.contacts(world)
+    length = max(episodes.setups[world].object.half_extents)
+    return largest_ball(
+        contact_wrenches(found.point, found.normal, found.friction, found.centre, length)
+    )
 
 
 def _check(task: Task, options: Options) -> None:

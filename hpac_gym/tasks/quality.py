@@ -8,24 +8,10 @@ adding up to 1 N cannot resist [N]. Zero when some direction cannot be resisted 
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.model.checks import Array
-from hpac_gym.physics.engine import Contacts
 
 CONE_EDGES = 6
 """Number of edges of the pyramid that approximates a friction cone."""
-
-
-def grasp_quality(touching: Contacts, spec: ObjectSpec) -> float:
-    """Epsilon of a grasp [N]; torques are divided by the object's largest half extent."""
-    if len(touching.point) < 2:
-        return 0.0
-    length = max(spec.half_extents)
-    return largest_ball(
-        contact_wrenches(
-            touching.point, touching.normal, touching.friction, touching.centre, length
-        )
-    )
 
 
 def contact_wrenches(
