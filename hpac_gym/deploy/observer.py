@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.deploy.errors import DeployError, PoseError
 from hpac_gym.envs import make_task
-from hpac_gym.model import HPAC, SERVOS, Hand, action_from_synergy
+from hpac_gym.envs.commands import Commands
+from hpac_gym.model import HPAC, SERVOS, Hand
 from hpac_gym.model.checks import Array
-from hpac_gym.model.maps import CommandMap
 from hpac_gym.physics.engine import SceneSetup, SceneState, matrix_from_quaternion
 from hpac_gym.registration import GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE
 from hpac_gym.tasks.cameras import CameraNoise
@@ -68,7 +68,6 @@ class Observer:
     Attributes:
         task: the task.
         setup: the episode: object, start posture, orientation of the hand.
-        servo: the last commanded angles, shape (6,) [rad].
         steps: number of control steps of an episode.
     """
 
@@ -98,7 +97,7 @@ class Observer:
         self.spec = gymnasium.spec(name)
         self.model = model
         self.unwrapped = self
-        self._map = CommandMap(model)
+        self._commands = Commands(1, model, self.task.wrist_actions, transmit=None)
         self._layout = Layout(self.task.terms, 1)
         self.observation_space = self._layout.space
         size = len(SERVOS) + len(self.task.wrist_actions)
@@ -117,12 +116,14 @@ class Observer:
         self._setup = setup
         self.task.start([0], [setup])
         self._layout.start([0], [setup])
-        synergy = setup.synergy[None]
-        self._flexing = np.ones((1, len(SERVOS)), dtype=bool)
-        self.servo = self._map.servo_from_synergy(synergy, self._flexing)[0]
-        self._last_action = action_from_synergy(setup.synergy, self._map.bounds)[None]
+        self._commands.start([0], [setup])
         self._wrist = self.task.wrist_path(setup, self._times)
         self.step = 0
+
+    @property
+    def servo(self) -> Array:
+        """The last commanded angles, shape (6,) [rad]."""
+        return self._commands.servo[0]
 
     @property
     def upright(self) -> Quaternion:
@@ -165,7 +166,6 @@ class Observer:
         state = SceneState.empty(1)
         state.time = self._time()
         state.palm_offset[0] = self.wrist_offset()
-        predicted = self._map.joints_from_servo(self.servo[None], self._flexing)
         seen = {
             "position": np.asarray(pose.position)[None],
             "up": rotation[None, :, 2] * (shape != "sphere"),
@@ -176,11 +176,11 @@ class Observer:
         return self._layout.see(
             Moment(
                 state,
-                self._map.shown_servo(self.servo[None], predicted),
-                predicted,
+                self._commands.shown,
+                self._commands.predicted,
                 -self._setup.hand_rotation[None, 2],
                 self.task.phase(state.time),
-                self._last_action,
+                self._commands.last_action,
                 np.zeros((1, len(SERVOS))),
                 seen,
             )
@@ -194,18 +194,16 @@ class Observer:
             ShapeError, WorkspaceError: Another shape, NaN, or an action that leaves −1…1.
         """
         action = np.asarray(action, dtype=float)
-        ours = action[None, : len(SERVOS)]
-        change = ours - self._last_action
-        self._flexing = np.where(change == 0, self._flexing, change > 0)
-        target = self._map.servo_from_action(ours, self._flexing)[0]
+        target = self._commands.target(action[None])[0]
         if self.task.wrist_actions and self.step == 0:
             self._begin(self.task.chosen(self.setup, action))
-        self._last_action = ours
+        self._commands.last_action = action[None, : len(SERVOS)]
         return target
 
     def sent(self, servo: Array) -> None:
         """Take note of the angles that the hand was sent; the next step begins."""
-        self.servo = np.asarray(servo, dtype=float)
+        self._commands.servo = np.array(servo, dtype=float)[None]
+        self._commands.record(self._commands.last_action)
         self.step += 1
 
     def _time(self) -> Array:
