@@ -145,10 +145,9 @@ def _worst(out):
 
 @pytest.mark.parametrize(("slip_deg", "status"), [(1.7, 0), (2.5, 2)])
 def test_a_tendon_that_slips_half_way_is_doubted_or_refused(record, calibrate, slip_deg, status):
-    joint_pos = record.joint_pos.copy()
     late = (record.swept == 1) & (record.servo[:, 1] > 0.5 * HPAC.servo_max[1])
-    joint_pos[late] -= np.deg2rad(slip_deg)
-    found, said = calibrate(record.with_joint_pos(joint_pos))
+    slipped = record.joint_pos - np.deg2rad(slip_deg) * late[:, None]
+    found, said = calibrate(record.with_joint_pos(slipped))
     assert found == status
     assert "index: the points scatter" in said.out + said.err
     assert ("at most 10 times is accepted" in said.err) == (status == 2)
@@ -160,10 +159,8 @@ def of_index(record):
 
 def with_last_rest(record, degrees):
     """A digit that does not come back to its stops."""
-    joint_pos = record.joint_pos.copy()
     last = (record.phase == REST) & (record.time > record.time[record.phase == FLEXING].max())
-    joint_pos[last] += np.deg2rad(degrees)
-    return record.with_joint_pos(joint_pos)
+    return record.with_joint_pos(record.joint_pos + np.deg2rad(degrees) * last[:, None])
 
 
 def test_rests_that_differ_are_told_and_bend_no_curve(record, hidden, calibrate, monkeypatch):
