@@ -34,19 +34,17 @@ wild_postures = arrays(float, 15, elements=st.floats(-10, 10))
 factors = st.floats(0.8, 1.25)
 
 
+@pytest.mark.parametrize(
+    ("there", "back"),
+    [
+        (servo_from_synergy, synergy_from_servo),
+        (action_from_synergy, synergy_from_action),
+        (joints_from_synergy, synergy_from_joints),
+    ],
+)
 @given(synergies)
-def test_servo_of_a_synergy_comes_back(synergy):
-    assert synergy_from_servo(servo_from_synergy(synergy)) == pytest.approx(synergy, abs=1e-12)
-
-
-@given(actions)
-def test_action_of_a_synergy_comes_back(action):
-    assert action_from_synergy(synergy_from_action(action)) == pytest.approx(action, abs=1e-12)
-
-
-@given(synergies)
-def test_synergy_of_a_posture_on_the_manifold_comes_back(synergy):
-    assert synergy_from_joints(joints_from_synergy(synergy)) == pytest.approx(synergy, abs=1e-12)
+def test_a_synergy_comes_back_from_servo_action_and_posture(there, back, synergy):
+    assert back(there(synergy)) == pytest.approx(synergy, abs=1e-12)
 
 
 @given(postures)
