@@ -2,8 +2,20 @@
 
 import argparse
 from collections.abc import Callable
+from contextlib import redirect_stdout
+from io import StringIO
 
+import pytest
+
+from hpac import main
 from hpac_gym.command import USAGE_ERROR
+
+
+def help_of(name: str) -> str:
+    """What a command of `hpac` tells with ``--help``."""
+    with redirect_stdout(StringIO()) as told, pytest.raises(SystemExit):
+        main([name, "--help"])
+    return told.getvalue()
 
 
 def parsed(command, *words: object) -> argparse.Namespace:

@@ -18,13 +18,14 @@ import hpac_gym
 from hpac import COMMANDS, GROUPS, main
 from hpac_gym.command import USAGE_ERROR, run
 from hpac_gym.errors import EXTRA_OF, WorkspaceError
+from tests.options import help_of
 
 POSED = ["--object", "cylinder:0.02,0.05", "--pose", "0.05,0.005,0.11"]
 NAMES = [command.name for command in COMMANDS]
 HEAVY = {"numpy", "scipy", "matplotlib", "gymnasium", "pybullet", "mujoco", "torch"}
 ROOT = Path(__file__).resolve().parents[1]
 FULL = Path("/dev/full")
-needs_full_device = pytest.mark.skipif(not FULL.exists(), reason="no device that is always full")
+HPAC = "import sys, hpac; sys.exit(hpac.main())"
 
 
 def python(script: str, *words: str, **options) -> subprocess.CompletedProcess[str]:
@@ -33,7 +34,7 @@ def python(script: str, *words: str, **options) -> subprocess.CompletedProcess[s
 
 
 def hpac(*words: str, **options) -> subprocess.CompletedProcess[str]:
-    return python("import sys, hpac; sys.exit(hpac.main())", *words, **options)
+    return python(HPAC, *words, **options)
 
 
 LISTS_MODULES = """
@@ -129,27 +130,15 @@ def test_the_version_is_that_of_the_package():
     assert metadata.version("hpac_gym") == hpac_gym.__version__
 
 
-def test_a_help_tells_no_empty_default_and_none_in_the_form_of_python(capsys):
-    for name in NAMES:
-        with pytest.raises(SystemExit):
-            main([name, "--help"])
-        said = capsys.readouterr().out
-        assert not re.search(r"\(default: *[)\[]", said), name
-
-
 @pytest.mark.parametrize("name", NAMES)
-def test_every_command_has_json(name, capsys):
-    with pytest.raises(SystemExit):
-        main([name, "--help"])
-    assert re.search(r"^  --json  +print", capsys.readouterr().out, re.M)
+def test_a_help_tells_of_json_no_empty_default_and_none_in_the_form_of_python(name):
+    told = help_of(name)
+    assert re.search(r"^  --json  +print", told, re.M)
+    assert not re.search(r"\(default: *[)\[]", told)
 
 
-def test_a_command_that_takes_a_policy_takes_its_statistics(capsys):
-    found = {}
-    for name in NAMES:
-        with pytest.raises(SystemExit):
-            main([name, "--help"])
-        found[name] = set(re.findall(r"^  (--[\w-]+|policy) ", capsys.readouterr().out, re.M))
+def test_a_command_that_takes_a_policy_takes_its_statistics():
+    found = {name: set(re.findall(r"^  (--[\w-]+|policy) ", help_of(name), re.M)) for name in NAMES}
     taking = [name for name, options in found.items() if options & {"--policy", "policy"}]
     assert {"deploy", "grasps", "show"} <= set(taking)
     assert [name for name in taking if "--normalize" not in found[name]] == ["export"]
@@ -239,17 +228,6 @@ def test_ctrl_c_during_an_import_that_catches_everything_is_not_lost(program, tm
     assert done.stderr.endswith("KeyboardInterrupt\n")
 
 
-@needs_full_device
-@pytest.mark.parametrize(("words", "unbuffered"), [("--help", "1"), ("--version", "")])
-def test_an_output_that_takes_no_more_is_one_line_and_status_2(words, unbuffered):
-    with FULL.open("w") as full:
-        done = hpac(words, stdout=full, env=os.environ | {"PYTHONUNBUFFERED": unbuffered})
-    assert (done.returncode, done.stderr) == (
-        USAGE_ERROR,
-        "error: cannot write to standard output: No space left on device\n",
-    )
-
-
 SCRIPT = """
 import sys
 from hpac_gym.command import run
@@ -261,13 +239,25 @@ sys.exit(run(command))
 """
 
 
-@needs_full_device
-@pytest.mark.parametrize("times", [1, 100_000], ids=["short", "longer than any buffer"])
-@pytest.mark.parametrize("flush", [True, False])
-def test_a_full_standard_output_is_one_line(times, flush):
-    script = SCRIPT.format(words="word ", times=times, flush=flush, path=os.devnull)
+def printing(times: int, flush: bool) -> str:
+    """A program that prints a word so many times, which may be more than any buffer holds."""
+    return SCRIPT.format(words="word ", times=times, flush=flush, path=os.devnull)
+
+
+@pytest.mark.skipif(not FULL.exists(), reason="no device that is always full")
+@pytest.mark.parametrize(
+    ("script", "words", "unbuffered"),
+    [
+        (HPAC, ["--help"], "1"),
+        (HPAC, ["--version"], ""),
+        *((printing(times, flush), [], "") for times in (1, 100_000) for flush in (True, False)),
+    ],
+    ids=["help", "version", "short, flushed", "short", "long, flushed", "long"],
+)
+def test_a_full_standard_output_is_one_line_and_status_2(script, words, unbuffered):
+    variables = os.environ | {"PYTHONUNBUFFERED": unbuffered}
     with FULL.open("w") as full:
-        done = python(script, stdout=full)
+        done = python(script, *words, stdout=full, env=variables)
     assert (done.returncode, done.stderr) == (
         USAGE_ERROR,
         "error: cannot write to standard output: No space left on device\n",

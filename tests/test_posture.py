@@ -3,8 +3,6 @@ simulation.
 """
 
 import json
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +15,7 @@ from hpac_gym.bridge import commands
 from hpac_gym.model import HPAC, JOINT_INDEX, POSTURES, joints_from_synergy, posture, reach
 from hpac_gym.model.calibration import Calibration, Friction
 from tests.options import called
+from tests.processes import python
 
 GEOMETRY = load_geometry()
 
@@ -124,9 +123,7 @@ def test_a_posture_is_sent_without_matplotlib():
         "import sys; sys.modules['matplotlib'] = None; import hpac; "
         "sys.exit(hpac.main(['posture', 'fist', '--port', 'virtual']))"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", words], capture_output=True, text=True, check=False
-    )
+    done = python("-c", words)
     assert done.returncode == 0, done.stderr
     assert "arrived" in done.stderr
 

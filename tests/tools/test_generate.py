@@ -1,12 +1,10 @@
 """Every generated file is committed as its generator writes it."""
 
-import subprocess
-import sys
-
 import pytest
 
 from hpac_gym.body.geometry import load_geometry
 from hpac_gym.model import FINGERS
+from tests.processes import python
 from tools import generate
 from tools.thumb_search import find_opposition
 
@@ -32,8 +30,7 @@ def test_a_stale_file_is_named_by_check_and_written_without_it(tmp_path, monkeyp
 
 
 def test_a_wrong_hand_is_one_line_and_status_2():
-    words = [sys.executable, "-m", "tools.generate", "--hand", "/no/such/hand.toml"]
-    done = subprocess.run(words, cwd=generate.ROOT, capture_output=True, text=True, check=False)
+    done = python("-m", "tools.generate", "--hand", "/no/such/hand.toml")
     assert done.returncode == 2
     assert done.stderr == "error: hand file /no/such/hand.toml: No such file or directory\n"
 
