@@ -14,7 +14,7 @@ Where random closures hardly ever succeed, the first trials are drawn about the 
 the actor maximises the likelihood of the trials that succeeded instead; the critics then only
 choose the episodes."""
 
-from collections import Counter
+from collections import defaultdict
 
 import numpy as np
 import torch
@@ -56,8 +56,7 @@ class Learner:
         self.networks = Networks(recipe, observed, deployed, phases)
         self.updates = 0
         self.entropy = float("nan")
-        self._sums: Counter[str] = Counter()
-        self._counts: Counter[str] = Counter()
+        self._noted: defaultdict[str, list[float]] = defaultdict(list)
 
     def reseed(self, seed: int) -> None:
         """Seed all random numbers."""
@@ -106,14 +105,13 @@ class Learner:
         that were accepted, and Brier score of the predictions for new trials, which are harder
         than those that were rejected.
         """
-        means = {name: total / self._counts[name] for name, total in self._sums.items()}
-        self._sums.clear()
-        self._counts.clear()
+        means = {name: sum(values) / len(values) for name, values in self._noted.items()}
+        self._noted.clear()
         return means | {"entropy": self.entropy}
 
     def _note(self, **values: float) -> None:
-        self._sums.update({name: float(value) for name, value in values.items()})
-        self._counts.update(values.keys())
+        for name, value in values.items():
+            self._noted[name].append(float(value))
 
     def accepted(self, seen: np.ndarray, decisions: np.ndarray) -> np.ndarray:
         """Which trials to run, shape (n,), at random: those of near-certain success with the
