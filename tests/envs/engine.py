@@ -5,7 +5,6 @@ The other tests of the gate use only actions, observations, rewards and infos.
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import cache
 from typing import Any
 from unittest.mock import patch
 
@@ -114,22 +113,17 @@ def told(env: gymnasium.Env, story: Callable[[float], State]) -> Iterator[None]:
     start, turn = pybullet.getBasePositionAndOrientation(bodies.object, client)
     motors = pybullet.setJointMotorControlArray
     steps = 0
+    now = story(0.0)
     way = np.zeros(3)
     wrist = np.zeros(3)
 
-    @cache
-    def state_after(steps: int) -> State:
-        return story(steps * dt)
-
-    def state() -> State:
-        return state_after(steps)
-
     def step(*_: Any, **__: Any) -> None:
-        nonlocal steps, way, wrist
+        nonlocal steps, now, way, wrist
         steps = steps + 1
+        now = story(steps * dt)
         before = wrist
         wrist = rotation @ list(slides.values())
-        way = way + (wrist - before) * state().carried
+        way = way + (wrist - before) * now.carried
 
     def control(body: int, joints: list[int], mode: int, **named: Any) -> None:
         if mode == pybullet.POSITION_CONTROL:
@@ -137,37 +131,34 @@ def told(env: gymnasium.Env, story: Callable[[float], State]) -> Iterator[None]:
         motors(body, joints, mode, **named)
 
     def joint_states(body: int, joints: list[int], *_: Any, **__: Any) -> list[tuple[float, float]]:
-        told = state()
         return [
             (slides[joint], 0.0)
             if joint in slides
-            else (float(told.joint_pos[joint_of[joint]]), float(told.joint_vel[joint_of[joint]]))
+            else (float(now.joint_pos[joint_of[joint]]), float(now.joint_vel[joint_of[joint]]))
             for joint in joints
         ]
 
     def pose(body: int, *_: Any, **__: Any) -> tuple[list[float], tuple[float, ...]]:
-        told = state()
-        half = told.tilt / 2
+        half = now.tilt / 2
         _, orientation = pybullet.multiplyTransforms(
             (0, 0, 0), (np.sin(half), 0, 0, np.cos(half)), (0, 0, 0), turn
         )
-        return (start + told.slipped + way).tolist(), orientation
+        return (start + now.slipped + way).tolist(), orientation
 
     def velocity(body: int, *_: Any, **__: Any) -> tuple[list[float], list[float]]:
-        return state().velocity.tolist(), state().spin.tolist()
+        return now.velocity.tolist(), now.spin.tolist()
 
     def contacts(item: int, *_: Any, **__: Any) -> list[tuple]:
-        told = state()
-        centre = start + told.slipped + way
+        centre = start + now.slipped + way
         rows = []
-        for place, (part, force) in enumerate(told.forces.items()):
+        for place, (part, force) in enumerate(now.forces.items()):
             outward = np.array([np.cos(2.4 * place), np.sin(2.4 * place), 0.2 * place - 0.3])
             outward /= np.linalg.norm(outward)
             point = centre + 0.02 * outward
             rows.append(
                 (0, item, bodies.hand, -1, link_of[part], point, point, -outward, 0.0, force)
             )
-        for met, support in ((told.supported, bodies.fixed[0]), (told.placed, bodies.fixed[-1])):
+        for met, support in ((now.supported, bodies.fixed[0]), (now.placed, bodies.fixed[-1])):
             if met:
                 rows.append((0, item, support, -1, -1, start, start, (0, 0, 1), 0.0, 1.0))
         return rows

@@ -28,12 +28,12 @@ from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import chain, count
-from math import comb
 from pathlib import Path
 from typing import Any
 
 import gymnasium
 import numpy as np
+from scipy.stats import binom
 
 from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.envs import GRASPS
@@ -93,7 +93,6 @@ def closing(begin: int = 6, let_go: int = NEVER) -> Policy:
 def own(env: gymnasium.Env, first: Any, rng: np.random.Generator) -> Iterator[np.ndarray]:
     """The scripted closure of the requested type."""
     script = env.unwrapped.task.script()
-    script.reset()
     while True:
         yield script.act(first)[:6] + rng.uniform(-0.01, 0.01, 6)
 
@@ -241,63 +240,6 @@ def fix_on_mujoco(env: gymnasium.Env, fixed: bool) -> None:
         group.parameters.fields["dof_damping"][:, moved] = 1e9 if fixed else 0.0
 
 
-def play(
-    env: gymnasium.Env,
-    policy: Policy,
-    seed: int,
-    limit: int = NEVER,
-    disturbance: float = 0.0,
-    options: dict[str, Any] | None = None,
-    story: Story | None = None,
-    watch: bool = False,
-    pinned: bool = False,
-) -> Episode:
-    """One episode, or its first steps.
-
-    Args:
-        env: the environment.
-        policy: the policy.
-        seed: seed of the episode.
-        limit: largest number of steps.
-        disturbance: added to all actions.
-        options: options of the reset.
-        story: states that replace the simulation.
-        watch: end the episode at the first touch.
-        pinned: fix the object where it starts.
-    """
-    observation, info = env.reset(seed=seed, options=options)
-    watched = nullcontext(bool)
-    retold = nullcontext()
-    if env.spec.kwargs.get("engine") == "mujoco":
-        fix_on_mujoco(env, pinned)
-        if watch:
-            watched = nullcontext(lambda: bool(env.unwrapped.state.touching.any()))
-    elif pinned or watch or story:
-        from tests.envs.engine import Bodies, told, watching_for_touch
-
-        bodies = Bodies(env)
-        if pinned:
-            bodies.pin()
-        if watch:
-            watched = watching_for_touch(bodies)
-        if story:
-            retold = told(env, story)
-    episode = Episode([leaves(observation)], [], [numbers(info)])
-    over = False
-    actions = policy(env, observation, np.random.default_rng([seed, 5]))
-    with retold, watched as touched:
-        while not over and len(episode.rewards) < limit:
-            action = np.clip(next(actions) + disturbance, -1, 1)
-            observation, reward, terminated, truncated, info = env.step(whole(env, action))
-            episode.observations.append(leaves(observation))
-            episode.rewards.append(float(reward))
-            episode.infos.append(numbers(info))
-            over = terminated or truncated
-            if episode.touch is None and touched():
-                episode.touch = limit = len(episode.rewards)
-    return episode
-
-
 # The cases
 # -----------------------------------------------------------------------------------------------------------------
 
@@ -326,10 +268,56 @@ class Case:
     def make(self, **options: Any) -> gymnasium.Env:
         return gymnasium.make(self.id, **{"engine": "pybullet"} | self.options, **options)
 
-    def play(self, env: gymnasium.Env, seed: int, limit: int = NEVER, **how: Any) -> Episode:
-        return play(
-            env, self.policy, seed, limit, options=self.reset or None, story=self.story, **how
-        )
+    def play(
+        self,
+        env: gymnasium.Env,
+        seed: int,
+        limit: int = NEVER,
+        disturbance: float = 0.0,
+        watch: bool = False,
+        pinned: bool = False,
+    ) -> Episode:
+        """One episode, or its first steps.
+
+        Args:
+            env: the environment.
+            seed: seed of the episode.
+            limit: largest number of steps.
+            disturbance: added to all actions.
+            watch: end the episode at the first touch.
+            pinned: fix the object where it starts.
+        """
+        observation, info = env.reset(seed=seed, options=self.reset or None)
+        watched = nullcontext(bool)
+        retold = nullcontext()
+        if self.on_mujoco:
+            fix_on_mujoco(env, pinned)
+            if watch:
+                watched = nullcontext(lambda: bool(env.unwrapped.state.touching.any()))
+        elif pinned or watch or self.story:
+            from tests.envs.engine import Bodies, told, watching_for_touch
+
+            bodies = Bodies(env)
+            if pinned:
+                bodies.pin()
+            if watch:
+                watched = watching_for_touch(bodies)
+            if self.story:
+                retold = told(env, self.story)
+        episode = Episode([leaves(observation)], [], [numbers(info)])
+        over = False
+        actions = self.policy(env, observation, np.random.default_rng([seed, 5]))
+        with retold, watched as touched:
+            while not over and len(episode.rewards) < limit:
+                action = np.clip(next(actions) + disturbance, -1, 1)
+                observation, reward, terminated, truncated, info = env.step(whole(env, action))
+                episode.observations.append(leaves(observation))
+                episode.rewards.append(float(reward))
+                episode.infos.append(numbers(info))
+                over = terminated or truncated
+                if episode.touch is None and touched():
+                    episode.touch = limit = len(episode.rewards)
+        return episode
 
 
 def heavy() -> SceneSetup:
@@ -510,25 +498,18 @@ def found_now(env: gymnasium.Env, case: Case, disturbance: float = 0.0) -> list[
     ]
 
 
-def agree(then: dict[str, Any], now: dict[str, Any], tolerance: tuple[float, float]) -> bool:
-    """Whether two episodes' means agree."""
-    return all(
-        np.shape(then[name]) == np.shape(now[name])
-        and np.allclose(now[name], then[name], *tolerance)
-        for name in now
-    )
-
-
-def changed(case: Case, disturbance: float = 0.0, **fault: Any) -> bool:
-    """True if a case's fingerprint differs from the file's, optionally with a fault."""
+def differences(case: Case, disturbance: float = 0.0, **fault: Any) -> list[str]:
+    """What of a case's fingerprint differs from the file's, optionally with a fault."""
     with case.make(**fault) as env:
         found = found_now(env, case, disturbance)
-    return not all(
-        agree(then[part], now[part], tolerance)
+    return [
+        f"seed {then['seed']}, {part}: {name} is {values}, was {then[part][name]}"
         for then, now in zip(kept()[case.name], found, strict=True)
         for part, tolerance in tolerances(case).items()
-        if part in then
-    )
+        for name, values in now.get(part, {}).items()
+        if np.shape(values) != np.shape(then[part][name])
+        or not np.allclose(values, then[part][name], *tolerance)
+    ]
 
 
 def digest(env: gymnasium.Env, case: Case, steps: int = 30) -> str:
@@ -573,12 +554,7 @@ another outcome; with a disturbance of 1e-9 up to eight and one. """
 
 def most_flips(episodes: int) -> int:
     """Largest number of `episodes` that rounding changes, except with probability `ALARM`."""
-    beyond = 1.0
-    flips = -1
-    while beyond > ALARM:
-        flips += 1
-        beyond -= comb(episodes, flips) * FLIPS**flips * (1 - FLIPS) ** (episodes - flips)
-    return flips
+    return int(binom.isf(ALARM, episodes, FLIPS))
 
 
 BATCHES = {
@@ -608,15 +584,6 @@ def ends(batch: Sequence[Case], **fault: Any) -> list[list[int]]:
     return rows
 
 
-def rounded(value: Any) -> Any:
-    """All numbers of nested lists and dictionaries, rounded to eight digits."""
-    if isinstance(value, dict):
-        return {name: rounded(inner) for name, inner in value.items()}
-    if isinstance(value, list):
-        return [rounded(inner) for inner in value]
-    return float(f"{value:.8g}") if isinstance(value, float) else value
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument(
@@ -633,7 +600,10 @@ def main() -> None:
         print(json.dumps(found))
         return
     ids = {case.id for case in cases}
-    rows = kept() | {case.name: rounded(taken(case)) for case in cases}
+    rows = {case.name: taken(case) for case in cases}
+    # Numbers with eight digits.
+    rows = json.loads(json.dumps(rows), parse_float=lambda text: float(f"{float(text):.8g}"))
+    rows = kept() | rows
     rows |= {f"ends/{name}": ends(batch) for name, batch in BATCHES.items() if batch[0].id in ids}
     known = {*BY_NAME, *(f"ends/{name}" for name in BATCHES)} & set(rows)
     lines = (
