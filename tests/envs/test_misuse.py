@@ -41,12 +41,6 @@ MAKERS: dict[str, Callable[[], Any]] = {
 }
 
 
-@pytest.fixture(params=IDS)
-def env(request):
-    with gymnasium.make(request.param) as made:
-        yield made
-
-
 @pytest.mark.pybullet
 @pytest.mark.parametrize("make", [HandEnv, HandVectorEnv])
 def test_an_engine_is_closed_where_an_environment_is_refused(monkeypatch, make):
@@ -315,14 +309,6 @@ def test_a_setup_that_is_no_episode_of_its_task_is_refused(env_id, change, messa
             env.reset(options={"setup": replace(drawn, **change)})
 
 
-def test_one_environment_takes_a_list_of_one_setup(opened):
-    envs = opened(gymnasium.make_vec(GRASP, num_envs=1))
-    envs.reset(options={"setup": [EASY]})
-    assert envs.unwrapped.episodes.setups[0].object == EASY.object
-    with pytest.raises(ParameterError, match="2 setups were given for 1 environments"):
-        envs.reset(options={"setup": [EASY, EASY]})
-
-
 def test_a_setup_of_lists_is_that_of_its_arrays_and_tuples():
     with gymnasium.make("HPAC-GraspAny-v1", engine="mujoco", wrist="free") as env:
         env.reset(seed=3)
@@ -511,6 +497,7 @@ PRESET = r"randomize must be a preset \(nominal, .*; got "
             {"config": {"timetable": {"close_time": 2.97}}},
             "config timetable: the end of the shake = 4.47 s must be a multiple of 0.05 s",
         ),
+        (GRASP_ANY, {"config": {"size": [0.1, 3.0]}}, "config size"),
         (GRASP_ANY, {"config": {"ramp_force": 0}}, r"ramp_force = 0 .* within \]0, 1000\]"),
         (
             GRASP_ANY,
@@ -649,7 +636,9 @@ def test_an_id_tells_its_length_and_the_limit_cuts_no_episode_that_ends_by_itsel
     assert longest == length
 
 
-def test_an_action_that_float32_rounds_past_its_bound_is_that_bound(env):
+@pytest.mark.parametrize("name", IDS)
+def test_an_action_that_float32_rounds_past_its_bound_is_that_bound(name, opened):
+    env = opened(gymnasium.make(name))
     ones = np.ones(env.action_space.shape, np.float32)
     beyond = np.nextafter(ones, np.float32(2))
     assert (beyond > 1).all()

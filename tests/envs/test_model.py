@@ -84,22 +84,6 @@ def test_a_shipped_policy_takes_a_calibrated_hand_without_a_remark(calibrated, n
         assert policy.predict(env.reset(seed=0)[0])[0].shape == (6,)
 
 
-@pytest.mark.parametrize("model", ["calibrated", "hand"])
-def test_a_batch_of_held_out_hands_is_commanded_like_single_ones_to_the_bit(model, opened):
-    options = {"engine": "mujoco", "hands": "test", "objects": "real", "model": model}
-    rng = np.random.default_rng(0)
-    actions = rng.uniform(-1, 1, (6, 3, 6)).astype(np.float32)
-    batch = opened(gymnasium.make_vec("HPAC-GraspAny-v1", 3, autoreset_mode="Disabled", **options))
-    seen, _ = batch.reset(seed=[5, 6, 7])
-    many = [seen] + [batch.step(action)[0] for action in actions]
-    with gymnasium.make("HPAC-GraspAny-v1", **options) as env:
-        for world in range(3):
-            one = [env.reset(seed=5 + world)[0]] + [
-                env.step(action[world])[0] for action in actions
-            ]
-            np.testing.assert_array_equal([seen[world] for seen in many], one)
-
-
 def test_a_refused_action_leaves_no_trace_in_the_commands_of_a_calibrated_model():
     options = {"engine": "mujoco", "hands": "test", "model": "calibrated"}
     seen = []

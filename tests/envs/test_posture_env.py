@@ -128,13 +128,14 @@ def test_the_achieved_goal_is_measured_by_a_camera(env):
     assert np.std(errors) == pytest.approx(CAMERA_NOISE, rel=0.15)
 
 
-def test_a_given_goal_leaves_the_hand_as_it_is():
+def test_a_given_goal_is_that_of_the_episode_and_leaves_the_hand_as_it_is():
     hand = replace(HPAC, calibration=Calibration(servo_zero=(0.05,) * 6))
     with gymnasium.make(ID, randomize="nominal", hand=hand) as env:
         for options in (None, {"goal": np.full(15, 0.2)}):
-            env.reset(seed=0, options=options)
+            observation, _ = env.reset(seed=0, options=options)
             (setup,) = env.unwrapped.episodes.setups
             assert setup.hand_settings.servo_zero == (0.05,) * 6
+    np.testing.assert_allclose(observation["desired_goal"], 0.2, atol=1e-6)
 
 
 def test_only_the_time_limit_ends_an_episode_and_the_goals_say_so_too(env):
