@@ -12,13 +12,10 @@ from hpac_gym.envs import Grasp, HandEnv
 from hpac_gym.envs.snapshots import undeclared
 from hpac_gym.errors import EpisodeError
 from hpac_gym.physics.simulation import ENGINES
+from hpac_gym.registration import GENTLE, GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE, POSTURE
 from hpac_gym.tasks.arrival import wrist_choice
 from hpac_gym.tasks.grasp_type_data import GRASP_TYPES
 from tests.envs.episodes import check_stopped
-
-GRASP = "HPAC-Grasp-v0"
-PICK_PLACE = "HPAC-PickPlace-v0"
-POSTURE = "HPAC-Posture-v1"
 
 
 def closing(env: gymnasium.Env, steps: int, rng: np.random.Generator) -> np.ndarray:
@@ -51,11 +48,11 @@ def told(env: gymnasium.Env, actions: np.ndarray) -> list:
     [
         (GRASP, {"obs": "privileged", "randomize": "full"}, 48),
         (
-            "HPAC-GraspAny-v1",
+            GRASP_ANY,
             {"obs": "load", "wrist": "free", "hands": "train", "model": "hand"},
             14,
         ),
-        ("HPAC-GraspType-v0", {"types": "large_cylinder"}, 48),
+        (GRASP_TYPE, {"types": "large_cylinder"}, 48),
         (PICK_PLACE, {"randomize": "link"}, 40),
         (POSTURE, {}, 12),
     ],
@@ -121,7 +118,7 @@ def test_an_episode_that_is_over_goes_on_from_a_state_before_its_end(opened):
 
 
 def test_nothing_is_saved_of_a_hand_at_the_far_end_of_a_wire(opened):
-    env = opened(gymnasium.make("HPAC-Posture-v1", transmit=lambda command: command)).unwrapped
+    env = opened(gymnasium.make(POSTURE, transmit=lambda command: command)).unwrapped
     env.reset(seed=0)
     with pytest.raises(EpisodeError, match="transmit"):
         env.save_state()
@@ -132,10 +129,10 @@ def test_nothing_is_saved_of_a_hand_at_the_far_end_of_a_wire(opened):
     [
         (GRASP, {"obs": "privileged", "randomize": "full"}),
         (GRASP, {"grasp": "tip_pinch"}),
-        ("HPAC-GraspAny-v1", {"obs": "load", "wrist": "free", "hands": "train"}),
-        ("HPAC-GraspAny-v1", {"obs": "points", "hands": "test", "model": "calibrated"}),
-        ("HPAC-GraspType-v0", {"types": "large_cylinder"}),
-        ("HPAC-Gentle-v0", {"obs": "load"}),
+        (GRASP_ANY, {"obs": "load", "wrist": "free", "hands": "train"}),
+        (GRASP_ANY, {"obs": "points", "hands": "test", "model": "calibrated"}),
+        (GRASP_TYPE, {"types": "large_cylinder"}),
+        (GENTLE, {"obs": "load"}),
         (PICK_PLACE, {"randomize": "link"}),
         (POSTURE, {}),
     ],

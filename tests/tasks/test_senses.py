@@ -132,8 +132,9 @@ def ball(depth: float, beyond: float = 0.12) -> SceneSetup:
     return SceneSetup(spec, position=np.array([depth, 0.0, beyond]))
 
 
-def state_of(setup: SceneSetup, joint_pos: np.ndarray) -> SceneState:
-    state = SceneState.empty(1)
+def state_of(setup: SceneSetup, *joint_pos: np.ndarray) -> SceneState:
+    """A state with a world for each hand."""
+    state = SceneState.empty(len(joint_pos))
     state.joint_pos[:] = joint_pos
     state.object_pos[:] = setup.position
     state.object_rotation[:] = setup.hand_rotation.T
@@ -177,13 +178,10 @@ def test_the_order_in_which_worlds_are_named_is_none_of_their_looks():
     behind = ball(0.03, 0.085)
     for order in ([0, 1], [1, 0]):
         eyes = Senses(2, CameraNoise(0, 0, 0), FRONT, CENTRE)
-        state = SceneState.empty(2)
-        for world, angles in enumerate((OPEN, FIST)):
+        for world in order:
             eyes.start(world, behind, 1.0, np.random.default_rng(0))
-            state.joint_pos[world] = angles
-            state.object_pos[world] = behind.position
-            state.object_rotation[world] = behind.hand_rotation.T
-        np.testing.assert_array_equal(eyes.look(state, order)["visible"], [1, 0])
+        seen = eyes.look(state_of(behind, OPEN, FIST), order)
+        np.testing.assert_array_equal(seen["visible"], [1, 0])
 
 
 def test_points_are_of_the_camera_s_side():
