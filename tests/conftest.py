@@ -4,6 +4,8 @@ without PyBullet or a browser.
 
 import os
 import signal
+import socket
+from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -27,6 +29,14 @@ if find_spec("triton"):
 
 settings.register_profile("default", deadline=None, derandomize=True, max_examples=50)
 settings.load_profile("default")
+
+
+@pytest.fixture
+def udp() -> Iterator[socket.socket]:
+    """A UDP socket that is bound to a free port of this computer."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as made:
+        made.bind(("127.0.0.1", 0))
+        yield made
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -1,10 +1,11 @@
-"""Other processes: running one, waiting for them, and dying like one."""
+"""Other processes: running one to its end or meanwhile, waiting for them, and dying like one."""
 
 import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -21,6 +22,22 @@ def python(*words: str, folder: Path = ROOT, **variables: str) -> subprocess.Com
         timeout=600,
         check=False,
     )
+
+
+@contextmanager
+def started(*words: str, **variables: str) -> Iterator[subprocess.Popen[str]]:
+    """A Python process that runs during the block, at whose end it is killed."""
+    with subprocess.Popen(
+        [sys.executable, *words],
+        env=os.environ | {"PYTHONPATH": str(ROOT)} | variables,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
 
 
 def wait_for(condition, seconds: float = 120) -> None:

@@ -12,11 +12,13 @@ import pytest
 
 from agents.recipes import RECIPES
 from hpac_gym.command import run
+from hpac_gym.model import HPAC
 from hpac_gym.policies.policy_file import SHIPPED
 from tests.options import refused
 from tests.processes import python
 
 POSED = "--object cylinder:0.02,0.05 --pose 0.05,0.005,0.11 --dry-run"
+DEPLOYED = POSED.replace("--dry-run", "--port virtual")
 EVALUATE = "hpac evaluate --policy random"
 TINY = f"{EVALUATE} --env tests.tiny_task:Tiny-v0"
 BENCHMARK = "hpac benchmark HPAC-Grasp-v0 --policy"
@@ -39,6 +41,9 @@ MISTAKES = [
     ),
     ("hpac posture list fist", "error: unrecognized arguments: fist (see hpac posture"),
     ("hpac wiggle --port /dev/no-such-port", "/dev/no-such-port"),
+    *((f"hpac {name}", "required: --port") for name in ("wiggle", "estop", "clear", "conform")),
+    ("hpac wiggle --port virtual --angle 3", f"at most {min(HPAC.servo_max):.3f} rad"),
+    ("hpac doctor --port ''", "--port '' names no port"),
     ("hpac posture nonsense", "nonsense"),
     ("hpac posture fist --out /tmp/fist.doc", "written as .png, not as '/tmp/fist.doc'"),
     ("hpac posture all --out film.gif", "a picture is written as .png, not as 'film.gif'"),
@@ -67,6 +72,44 @@ MISTAKES = [
     ),
     ("hpac deploy tests.test_mistakes:wordless " + POSED, "(action, state), not ndarray"),
     ("hpac deploy tests.test_mistakes:short " + POSED, "must be 6 numbers"),
+    ("hpac deploy grasp " + POSED.removesuffix(" --dry-run"), "--port is missing"),
+    ("hpac deploy gentle " + POSED, "HPAC-Gentle-v0 cannot be deployed"),
+    ("hpac deploy none.hpac " + POSED, "no policy file 'none.hpac'"),
+    (f"hpac deploy grasp {POSED} --object ball", "--object 'ball' is not one of cyl"),
+    (f"hpac deploy grasp {POSED} --object box:1,2", "--object 'box:1,2' is not one"),
+    (
+        "hpac deploy posture " + POSED,
+        "HPAC-Posture-v1 cannot be deployed: a hand with a camera can do HPAC-Grasp-v0, ",
+    ),
+    (
+        f"hpac deploy grasp-any {POSED} --grasp rod",
+        "HPAC-GraspAny-v1 has no grasps by name, such as 'rod'",
+    ),
+    (
+        f"hpac deploy grasp {POSED} --env HPAC-GraspAny-v1",
+        "HPAC-Grasp-v0, not on HPAC-GraspAny-v1",
+    ),
+    (
+        f"hpac deploy grasp {POSED} --set obs=load",
+        "HPAC-Grasp-v0 with obs cannot be deployed: ",
+    ),
+    (
+        f"hpac deploy grasp {POSED} --pose 0.9,0,0",
+        "at x = 0.900 m in the hand's frame; HPAC-Grasp-v0",
+    ),
+    (
+        f"hpac deploy grasp-any-wrist {DEPLOYED}",
+        "grasp-any-wrist places the wrist (wrist_x, wrist_y, wrist_z, wrist_yaw), and --arm none",
+    ),
+    (
+        f"hpac deploy grasp-type --grasp rod {DEPLOYED}",
+        "moves none: take --arm enter or --arm udp:HOST:PORT",
+    ),
+    (f"hpac deploy grasp {DEPLOYED} --port /dev/none", "/dev/none"),
+    (f"hpac deploy grasp {DEPLOYED} --arm strong", "--arm 'strong' is not none, enter or"),
+    (f"hpac deploy grasp {DEPLOYED} --arm udp:a:²", "--arm 'udp:a:²' is not none"),
+    (f"hpac deploy grasp {DEPLOYED} --arm udp:ä..b:9", "the arm at ä..b:9: encoding of"),
+    (f"hpac deploy grasp {DEPLOYED} --log /proc/none/x", "cannot write"),
     ("hpac deploy grasp --hold -1", "'-1' is not a number of seconds"),
     ("hpac deploy grasp --oldest nan", "'nan' is not a number of seconds"),
     # Environments and policies

@@ -7,13 +7,14 @@ import json
 import os
 import re
 import signal
-import socket
 import subprocess
 import sys
 import time
-from contextlib import nullcontext
+from contextlib import closing, nullcontext
 from dataclasses import asdict, replace
+from itertools import chain, count, repeat
 from pathlib import Path
+from unittest.mock import Mock
 
 import gymnasium
 import numpy as np
@@ -42,16 +43,65 @@ from hpac_gym.registration import GRASP, GRASP_ANY, GRASP_TYPE
 from hpac_gym.tasks.cameras import CameraNoise
 from hpac_gym.tasks.grasp_type_data import GRASP_TYPES
 from tests.options import refused
-from tests.processes import wait_for
+from tests.processes import python, started, wait_for
 
 CAN = object_of("cylinder:0.02,0.05")
 PLACE = Pose(np.array([0.05, 0.005, 0.11]))
 WORDS = ("grasp", "--object", "cylinder:0.02,0.05", "--pose", "0.05,0.005,0.11")
+VIRTUAL = ("--port", "virtual")
+
+
+@pytest.fixture
+def hand():
+    return VirtualHand()
+
+
+@pytest.fixture
+def link(hand):
+    """A connected link to `hand`, not armed."""
+    with HandLink(hand.connect) as connected:
+        yield connected
+
+
+@pytest.fixture
+def path(tmp_path):
+    """Where a deployment's log shall be."""
+    return tmp_path / "log.jsonl"
+
+
+def episode(link, policy, source=None, arm=None, log=None, observer=None, **how):
+    """Run an episode: of the can that stands at its place, without an arm or a log unless given."""
+    observer = observer or Observer(GRASP, CAN)
+    given = (source or Fixed(PLACE), arm or Arm(), log or Log(None))
+    return run_episode(link, observer, policy, *given, **({"seconds": 0.1} | how))
+
+
+class Deciding:
+    """A policy that decides by the number of its step, which it remembers."""
+
+    def __init__(self, decide):
+        self.decide = decide
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        step = (state or 0) + 1
+        return self.decide(step), step
+
+
+def failing(fault):
+    """A policy that closes, and after some steps does something else."""
+    return Deciding(lambda step: fault() if step == 12 else np.array([0.0, 1, 1, 1, 1, 0]))
 
 
 def told(capsys, *words, command="deploy"):
     status = hpac.main([command, *map(str, words)])
     return status, capsys.readouterr()
+
+
+@pytest.fixture
+def log(path, capsys):
+    """The log of a deployment."""
+    assert told(capsys, *WORDS, *VIRTUAL, "--log", path)[0] == 0
+    return path
 
 
 # --- the observer
@@ -121,10 +171,7 @@ from hpac_gym.policies.loading import load_policy
 policy = load_policy("grasp", commands.Observer("HPAC-Grasp-v0", commands.object_of("sphere:0.03")))
 print(sorted({"torch", "mujoco", "pybullet", "matplotlib"} & set(sys.modules)))
 """
-    done = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, text=True, check=True
-    )
-    assert done.stdout == "[]\n"
+    assert python("-c", script).stdout == "[]\n"
 
 
 # --- poses
@@ -180,31 +227,29 @@ def test_a_file_that_has_no_poses_is_one_line(rows, says, tmp_path):
         source_of(f"{path}")
 
 
-def test_packets_come_by_udp_and_what_is_none_is_ignored(monkeypatch):
+def test_packets_come_by_udp_and_what_is_none_is_ignored(monkeypatch, udp):
     now = [0.0]
     monkeypatch.setattr("hpac_gym.deploy.poses.monotonic", lambda: now[0])
     packets = Packets(0)
-    sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    sender.connect(("127.0.0.1", packets.port))
+    udp.connect(("127.0.0.1", packets.port))
     wrong = (
         *(b"\xff", b"{}", b'{"hpac_pose": 2}', b"[" * 4000),
         b'{"hpac_pose": 1, "position": [1e9, 0, 0]}',
         b'{"hpac_pose": 1, "position": [1%b, 0, 0]}' % (b"0" * 400),
     )
     for data in wrong:
-        sender.send(data)
+        udp.send(data)
     wait_for(lambda: packets.latest() or "too large" in packets.fault, 10)
     assert packets.latest() is None
     # Nobody asks meanwhile: a pose ages from when it came.
-    sender.send(b'{"hpac_pose": 1, "position": [0.05, 0, 0.1]}')
-    sender.send(b"{}")
+    udp.send(b'{"hpac_pose": 1, "position": [0.05, 0, 0.1]}')
+    udp.send(b"{}")
     wait_for(lambda: "hpac_pose" in packets.fault, 10)
     now[0] = 10.0
     pose, age = packets.latest()
     assert pose.position.tolist() == [0.05, 0, 0.1]
     assert age == 10.0
     packets.close()
-    sender.close()
 
 
 def test_a_port_that_is_taken_names_the_pose():
@@ -218,19 +263,15 @@ def test_a_port_that_is_taken_names_the_pose():
 
 
 def test_a_hand_is_armed_once_there_are_pose_and_action_and_what_is_waited_for_is_told(
-    monkeypatch, capsys
+    link, monkeypatch, capsys
 ):
-    clock = iter(range(100_000))
-    monkeypatch.setattr("hpac_gym.progress.monotonic", lambda: next(clock))
-    hand = VirtualHand()
+    monkeypatch.setattr("hpac_gym.progress.monotonic", count().__next__)
     packets = Packets(0)
-    with HandLink(hand.connect) as link:
-        monkeypatch.setattr(link, "arm", lambda **_: pytest.fail("armed"))
-        with pytest.raises(PoseError, match=f"within 5 s at udp:{packets.port}"):
-            run_episode(link, Observer(GRASP, CAN), Failing(None), packets, Arm(), Log(None))
-        policy = Thinking(hand, 5)
-        with pytest.raises(DeployError, match="the policy's action must be 6 numbers"):
-            run_episode(link, Observer(GRASP, CAN), policy, Fixed(PLACE), Arm(), Log(None))
+    monkeypatch.setattr(link, "arm", lambda **_: pytest.fail("armed"))
+    with pytest.raises(PoseError, match=f"within 5 s at udp:{packets.port}"):
+        episode(link, failing(None), packets)
+    with pytest.raises(DeployError, match="the policy's action must be 6 numbers"):
+        episode(link, Deciding(lambda _: np.zeros(5)))
     said = f"waiting for poses at udp:{packets.port}\n"
     assert capsys.readouterr().err == said
     with pytest.raises(DeployError, match=r"arm at 127\.0\.0\.1:9 did not say that it is ready"):
@@ -240,27 +281,22 @@ def test_a_hand_is_armed_once_there_are_pose_and_action_and_what_is_waited_for_i
 
 
 def test_the_first_pose_is_a_mean_and_its_absence_one_line():
-    class Noisy(Fixed):
-        def __init__(self):
-            self.rng = np.random.default_rng(0)
-
-        def latest(self):
-            return pose_of([0.05, *self.rng.normal(0, 0.01, 2)], "here"), 0.0
-
     now = [0.0]
 
     def pause(seconds):
         now[0] += seconds
 
-    mean = averaged(Noisy(), 2.0, 0.5, pause=pause, clock=lambda: now[0])
-    assert np.abs(mean.position[1:]).max() < 0.003
-    np.testing.assert_allclose(np.abs(mean.quaternion), 0.5)
-    turns = [*[(0.0, 0.0, 1.0, 0.0)] * 2, *[(0.0, 0.0, 0.0, 1.0)] * 2]  # it turns round
-    seen = [(pose_of([0.05, 0.0, 0.1, *turn], "here"), 0.0) for turn in turns]
-    round_ = Fixed(PLACE)
-    round_.latest = lambda: seen.pop() if len(seen) > 1 else seen[0]
-    mean = averaged(round_, 2.0, 0.5, pause=pause, clock=lambda: now[0])
-    assert np.linalg.norm(mean.quaternion) == pytest.approx(1.0)
+    def mean(numbers):
+        latest = Mock(side_effect=((pose_of(each, "here"), 0.0) for each in numbers))
+        return averaged(Mock(latest=latest), 2.0, 0.5, pause=pause, clock=lambda: now[0])
+
+    rng = np.random.default_rng(0)
+    noisy = mean([0.05, *rng.normal(0, 0.01, 2)] for _ in count())
+    assert np.abs(noisy.position[1:]).max() < 0.003
+    np.testing.assert_allclose(np.abs(noisy.quaternion), 0.5)
+    turns = chain([[0.0, 0.0, 0.0, 1.0]] * 2, repeat([0.0, 0.0, 1.0, 0.0]))
+    turned = mean([0.05, 0.0, 0.1, *turn] for turn in turns)
+    assert np.linalg.norm(turned.quaternion) == pytest.approx(1.0)
     packets = Packets(0)
     with pytest.raises(PoseError, match="no pose of the object within 5 s"):
         averaged(packets, 1.0, 0.5, pause=pause, clock=lambda: now[0])
@@ -286,15 +322,15 @@ def test_an_object_beside_where_the_task_draws_it_is_told(capsys):
         assert told(capsys, *beside, "--dry-run")[0] == 0
 
 
-def test_a_policy_that_places_the_wrist_tells_a_person_where(tmp_path, capsys, monkeypatch):
+def test_a_policy_that_places_the_wrist_tells_a_person_where(path, capsys, monkeypatch):
     keys, enter = os.pipe()
     os.write(enter, b"\n")
     monkeypatch.setattr("sys.stdin", os.fdopen(keys))
-    words = ("grasp-any-wrist", *WORDS[1:], "--log", str(tmp_path / "log"), "--arm", "enter")
-    status, said = told(capsys, *words, "--port", "virtual")
+    words = ("grasp-any-wrist", *WORDS[1:], *VIRTUAL, "--log", path, "--arm", "enter")
+    status, said = told(capsys, *words)
     os.close(enter)
     assert status == 0, said.err
-    first = json.loads((tmp_path / "log").read_text().splitlines()[1])
+    first = json.loads(path.read_text().splitlines()[1])
     lines = said.err.splitlines()[1:6]
     for line, name, value in zip(lines, ("x", "y", "z", "yaw"), first["action"][6:], strict=False):
         assert line == f"arm: the policy places wrist_{name} {value:+.2f}"
@@ -336,9 +372,9 @@ class Gone(io.StringIO):
 
 
 @pytest.mark.parametrize("stderr", [None, Gone()], ids=["closed", "gone"])
-def test_an_episode_that_nobody_follows_goes_on(stderr, tmp_path, capsys, monkeypatch):
+def test_an_episode_that_nobody_follows_goes_on(stderr, path, capsys, monkeypatch):
     monkeypatch.setattr("sys.stderr", stderr)
-    status, said = told(capsys, *WORDS, "--port", "virtual", "--log", str(tmp_path / "log"))
+    status, said = told(capsys, *WORDS, *VIRTUAL, "--log", path)
     arm_of("enter").tell({"phase": "lift"})
     monkeypatch.undo()
     assert (status, len(said.out.splitlines())) == (0, 2)
@@ -359,101 +395,43 @@ def test_only_a_reader_of_the_output_that_leaves_ends_a_command_without_an_error
     assert (done.returncode == 0) == (stream == "out")
 
 
-def test_an_episode_leaves_a_log_and_a_hand_without_pulses(tmp_path, capsys):
-    log = tmp_path / "log.jsonl"
-    status, said = told(capsys, *WORDS, "--port", "virtual", "--log", str(log))
+def test_an_episode_leaves_a_log_and_a_hand_without_pulses(path, capsys):
+    status, said = told(capsys, *WORDS, *VIRTUAL, "--log", path)
     assert status == 0, said.err
     assert "64 commands, 64 acknowledged, 0 late, 0 lost, 0 refused" in said.out
     assert said.err.splitlines() == ["to the start posture", "holds for 2 s", "opens"]
-    head, *steps, end = map(json.loads, log.read_text().splitlines())
+    head, *steps, end = map(json.loads, path.read_text().splitlines())
     assert (head["hpac_deploy"], head["env_id"], end["end"]) == (1, GRASP, "done")
     assert len(steps) == 64
     # The STATUS that came with the command before, at the beginning of its ramp.
     np.testing.assert_allclose(steps[10]["hand"], steps[8]["sent"], atol=1e-4)
     assert np.abs(np.diff([step["sent"] for step in steps], axis=0)).max() <= 0.1
-    assert (tmp_path / "log.wire.jsonl").exists()
+    assert path.with_name("log.wire.jsonl").exists()
 
 
-def test_the_page_of_a_deployment_tells_of_a_stop_that_nobody_confirmed(monkeypatch):
-    class Page:
-        said = ""
+def test_the_page_of_a_deployment_tells_of_a_stop_that_nobody_confirmed(link, monkeypatch):
+    page = Mock()
+    monkeypatch.setattr("hpac_gym.deploy.watching.HandPage", page)
 
-        def __init__(self, setup, about, stop, **_):
-            pages.append(self)
-            self.stop = stop
+    def shown():
+        return [one.args[0].text for one in page.return_value.show.mock_calls]
 
-        def show(self, shown):
-            self.said = shown.text
-
-        def close(self):
-            pass
-
-    pages = []
-    monkeypatch.setattr("hpac_gym.deploy.watching.HandPage", Page)
-    with HandLink(VirtualHand().connect) as link:
-        link.status()
-        monkeypatch.setattr(link, "estop", raising(LinkTimeout("no answer to estop")))
-        with watched(link, Observer(GRASP, CAN).setup, HPAC):
-            (page,) = pages
-            wait_for(lambda: page.said == "before or after the episode; idle")
-            page.stop()
-            told = "Stop NOT CONFIRMED: switch the supply off. no answer to estop. before"
-            wait_for(lambda: page.said.startswith(told))
+    link.status()
+    monkeypatch.setattr(link, "estop", Mock(side_effect=LinkTimeout("no answer to estop")))
+    with watched(link, Observer(GRASP, CAN).setup, HPAC):
+        wait_for(lambda: "before or after the episode; idle" in shown())
+        _, _, stop = page.call_args.args
+        stop()
+        told = "Stop NOT CONFIRMED: switch the supply off. no answer to estop. before"
+        wait_for(lambda: shown()[-1].startswith(told))
 
 
-@pytest.mark.parametrize(
-    ("words", "says"),
-    [
-        (WORDS, "--port is missing"),
-        (("gentle", *WORDS[1:], "--dry-run"), "HPAC-Gentle-v0 cannot be deployed"),
-        (("none.hpac", *WORDS[1:], "--dry-run"), "no policy file 'none.hpac'"),
-        (
-            ("grasp", "--object", "ball", *WORDS[3:], "--dry-run"),
-            "--object 'ball' is not one of cyl",
-        ),
-        (
-            ("grasp", "--object", "box:1,2", *WORDS[3:], "--dry-run"),
-            "--object 'box:1,2' is not one",
-        ),
-        (
-            ("posture", *WORDS[1:], "--dry-run"),
-            "HPAC-Posture-v1 cannot be deployed: a hand with a camera can do HPAC-Grasp-v0, ",
-        ),
-        (
-            ("grasp-any", *WORDS[1:], "--grasp", "rod", "--dry-run"),
-            "HPAC-GraspAny-v1 has no grasps by name, such as 'rod'",
-        ),
-        ((*WORDS, "--env", GRASP_ANY, "--dry-run"), f"{GRASP}, not on {GRASP_ANY}"),
-        ((*WORDS, "--set", "obs=load", "--dry-run"), f"{GRASP} with obs cannot be deployed: "),
-        ((*WORDS[:4], "0.9,0,0", "--dry-run"), "at x = 0.900 m in the hand's frame; HPAC-Grasp-v0"),
-        (
-            ("grasp-any-wrist", *WORDS[1:], "--port", "virtual"),
-            "grasp-any-wrist places the wrist (wrist_x, wrist_y, wrist_z, wrist_yaw), and --arm none",
-        ),
-        (
-            ("grasp-type", "--grasp", "rod", *WORDS[1:], "--port", "virtual"),
-            "moves none: take --arm enter or --arm udp:HOST:PORT",
-        ),
-        ((*WORDS, "--port", "/dev/none"), "/dev/none"),
-        ((*WORDS, "--port", "virtual", "--arm", "strong"), "--arm 'strong' is not none, enter or"),
-        ((*WORDS, "--port", "virtual", "--arm", "udp:a:²"), "--arm 'udp:a:²' is not none"),
-        ((*WORDS, "--port", "virtual", "--arm", "udp:ä..b:9"), "the arm at ä..b:9: encoding of"),
-        ((*WORDS, "--port", "virtual", "--log", "/proc/none/x"), "cannot write"),
-    ],
-)
-def test_wrong_words_are_one_line(words, says, capsys, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert says in refused(capsys, lambda: hpac.main(["deploy", *words]))
-
-
-def test_a_log_is_kept_from_the_next_deployment_that_names_it(tmp_path, capsys):
-    path = tmp_path / "log.jsonl"
-    words = [*WORDS, "--log", str(path), "--port"]
-    assert told(capsys, *words, "virtual")[0] == 0
-    steps = path.read_text()
+def test_a_log_is_kept_from_the_next_deployment_that_names_it(log, tmp_path, capsys):
+    words = [*WORDS, "--log", log, "--port"]
+    steps = log.read_text()
     assert told(capsys, *words, "/dev/none")[0] == 2
-    assert path.read_text() == steps
-    with path.open("a") as still_writing:
+    assert log.read_text() == steps
+    with log.open("a") as still_writing:
         assert told(capsys, *words, "virtual")[0] == 0
         still_writing.write("more")
     assert (tmp_path / "log-1.jsonl").read_text() == steps + "more"
@@ -473,57 +451,23 @@ def test_every_log_has_a_wire_log_of_its_own_which_is_kept_without_it(tmp_path):
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
-def test_a_full_disk_of_the_wire_log_alone_is_a_warning(tmp_path, capsys):
-    (tmp_path / "log.wire.jsonl").symlink_to("/dev/full")
-    log = tmp_path / "log.jsonl"
+def test_a_full_disk_of_the_wire_log_alone_is_a_warning(path, capsys):
+    path.with_name("log.wire.jsonl").symlink_to("/dev/full")
     with pytest.warns(LogWarning, match="link continues without it: .* No space") as said:
-        status, out = told(capsys, *WORDS, "--port", "virtual", "--log", str(log))
+        status, out = told(capsys, *WORDS, *VIRTUAL, "--log", path)
     assert (status, len(said)) == (0, 1)
     assert "error" not in out.err
     assert "done: 64 commands" in out.out
 
 
-def test_a_wire_log_that_is_a_folder_is_one_line(tmp_path, capsys):
-    (tmp_path / "log.wire.jsonl").mkdir()
-    log = tmp_path / "log.jsonl"
-    status, said = told(capsys, *WORDS, "--port", "virtual", "--log", str(log))
-    assert status == 2
-    assert said.err.endswith("log.wire.jsonl': Is a directory\n")
-    assert len(said.err.splitlines()) == 1
+def test_a_wire_log_that_is_a_folder_is_one_line(path, capsys):
+    path.with_name("log.wire.jsonl").mkdir()
+    words = ["deploy", *WORDS, *VIRTUAL, "--log", str(path)]
+    line = refused(capsys, lambda: hpac.main(words))
+    assert line.endswith("log.wire.jsonl': Is a directory")
 
 
 # --- what goes wrong on the way: the hand is opened and disarmed first
-
-
-class Watched(VirtualHand):
-    """Keeps the last angles that had pulses, and the largest ones."""
-
-    def __init__(self):
-        self.last = self.most = np.zeros(6)
-        super().__init__(on_pulses=self.note)
-
-    def note(self, _, pulses):
-        if pulses.all():
-            self.last = servo_from_pulses(pulses)
-            self.most = np.maximum(self.most, self.last)
-
-
-class Failing:
-    """A policy that closes, and after some steps does something else."""
-
-    def __init__(self, fault):
-        self.fault = fault
-
-    def predict(self, observation, state=None, episode_start=None, deterministic=True):
-        step = (state or 0) + 1
-        return self.fault() if step == 12 else np.array([0.0, 1, 1, 1, 1, 0]), step
-
-
-def raising(error):
-    def fault():
-        raise error
-
-    return fault
 
 
 class Lost(Fixed):
@@ -555,8 +499,8 @@ class Full(Log):
             "the policy's action must be 6 numbers",
         ),
         (lambda: np.zeros(5), Fixed, Log, DeployError, "the policy's action must be 6 numbers"),
-        (raising(KeyboardInterrupt("by hand")), Fixed, Log, KeyboardInterrupt, "by hand"),
-        (raising(ZeroDivisionError("x")), Fixed, Log, ZeroDivisionError, "x"),
+        (Mock(side_effect=KeyboardInterrupt("by hand")), Fixed, Log, KeyboardInterrupt, "by hand"),
+        (Mock(side_effect=ZeroDivisionError("x")), Fixed, Log, ZeroDivisionError, "x"),
         (
             lambda: np.zeros(6),
             Lost,
@@ -569,154 +513,122 @@ class Full(Log):
     ids=["NaN", "shape", "Ctrl-C", "bug", "lost object", "full disk"],
 )
 def test_the_hand_opens_and_is_disarmed_before_an_error_is_told(fault, source, log, error, says):
-    hand = Watched()
-    observer = Observer(GRASP, CAN)
+    course = []
+    hand = VirtualHand(on_pulses=lambda _, pulses: pulses.all() and course.append(pulses))
     with HandLink(hand.connect) as link:
         with pytest.raises(error, match=says):
-            run_episode(
-                link, observer, Failing(fault), source(PLACE), Arm(), log(None), seconds=0.1
-            )
+            episode(link, failing(fault), source(PLACE), log=log(None))
         assert link.state == "idle"
     assert not hand.pulses().any()
-    assert hand.most[1:5].min() > 0.3, "it had closed"
-    np.testing.assert_allclose(hand.last, 0.0, atol=1e-4)
-
-
-class Thinking:
-    """A policy whose first decision takes longer than the watchdog waits; it counts them."""
-
-    def __init__(self, hand, size):
-        self.hand = hand
-        self.size = size
-        self.decisions = 0
-
-    def predict(self, observation, state=None, episode_start=None, deterministic=True):
-        if not self.decisions:
-            self.hand.run(0.6)
-        self.decisions += 1
-        return np.zeros(self.size), None
+    angles = servo_from_pulses(course)
+    assert angles.max(axis=0)[1:5].min() > 0.3, "it had closed"
+    np.testing.assert_allclose(angles[-1], 0.0, atol=1e-4)
 
 
 @pytest.mark.parametrize(("env_id", "options"), [(GRASP, {}), (GRASP_ANY, {"wrist": "free"})])
-def test_a_first_decision_may_be_slow_and_none_is_asked_for_twice(env_id, options):
-    hand = VirtualHand()
+def test_a_first_decision_may_be_slow_and_none_is_asked_for_twice(hand, link, env_id, options):
     observer = Observer(env_id, CAN, **options)
-    with HandLink(hand.connect) as link:
-        policy = Thinking(hand, *observer.action_space.shape)
-        run_episode(link, observer, policy, Fixed(PLACE), Arm(), Log(None), seconds=0.1)
-    assert policy.decisions == observer.steps
+    steps = []
+
+    def decide(step):
+        if not steps:
+            hand.run(0.6)  # longer than the watchdog waits
+        steps.append(step)
+        return np.zeros(observer.action_space.shape)
+
+    episode(link, Deciding(decide), observer=observer)
+    assert steps == list(range(1, observer.steps + 1))
 
 
-def test_a_hand_does_not_close_on_an_object_that_is_lost_while_the_arm_gets_ready():
+def test_a_hand_does_not_close_on_an_object_that_is_lost_while_the_arm_gets_ready(link):
     class Arriving(Arm):
         def ready(self, wait, told):
             source.looks = 15
 
     source = Lost(PLACE)
-    observer = Observer(GRASP, CAN)
-    with HandLink(VirtualHand().connect) as link:
-        with pytest.raises(PoseError, match="3 s old, allowed"):
-            run_episode(
-                *(link, observer, Failing(None), source, Arriving(), Log(None)),
-                seconds=0.1,
-                live=lambda _: pytest.fail("closes"),
-            )
+    with pytest.raises(PoseError, match="3 s old, allowed"):
+        episode(link, failing(None), source, Arriving(), live=lambda _: pytest.fail("closes"))
 
 
-def test_an_estop_from_elsewhere_ends_the_episode_and_stays():
-    hand = VirtualHand()
-    observer = Observer(GRASP, CAN)
+def test_an_estop_from_elsewhere_ends_the_episode_and_stays(hand):
     with HandLink(hand.connect) as link:
 
         def estop():
-            link.exchange.transport.write(encode(Frame("estop", 7, 0, {})))
+            hand.receive(encode(Frame("estop", 7, 0, {})))
             return np.zeros(6)
 
         with pytest.raises(FaultError, match="estop"):
-            run_episode(link, observer, Failing(estop), Fixed(PLACE), Arm(), Log(None), seconds=0.1)
+            episode(link, failing(estop))
     assert not hand.pulses().any()
     with HandLink(hand.connect) as another:  # the end of the program that was stopped leaves it
         assert another.status().fault == "estop"
 
 
-def test_ctrl_c_opens_a_hand_in_real_time(tmp_path):
+def test_ctrl_c_opens_a_hand_in_real_time(path):
     with HostBoard() as board:
-        words = [*WORDS, "--port", board.port, "--log", str(tmp_path / "log.jsonl")]
-        running = subprocess.Popen(
-            [sys.executable, "-m", "hpac", "deploy", *words], stderr=subprocess.PIPE, text=True
-        )
-        try:
+        words = [*WORDS, "--port", board.port, "--log", str(path)]
+        with started("-m", "hpac", "deploy", *words) as running:
             wait_for(
                 lambda: (pulses := board.pulses()).all() and servo_from_pulses(pulses)[1] > 0.3, 30
             )
-            os.kill(running.pid, signal.SIGINT)
+            running.send_signal(signal.SIGINT)
             _, said = running.communicate(timeout=30)
-        finally:
-            running.kill()
         assert (running.returncode, said) == (130, "to the start posture\ninterrupted\n")
         assert not board.pulses().any()
-    *_, end = (tmp_path / "log.jsonl").read_text().splitlines()
+    *_, end = path.read_text().splitlines()
     assert json.loads(end)["end"].startswith("KeyboardInterrupt")
 
 
-def test_an_arm_is_told_every_phase_and_says_when_it_is_ready():
-    arm = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    arm.bind(("127.0.0.1", 0))
-    remote = arm_of(f"udp:127.0.0.1:{arm.getsockname()[1]}")
-    asked = []
+@pytest.fixture
+def remote(udp):
+    """The arm of a program, which is `udp`."""
+    with closing(arm_of(f"udp:127.0.0.1:{udp.getsockname()[1]}")) as made:
+        yield made
+
+
+def test_an_arm_is_told_every_phase_and_says_when_it_is_ready(link, remote, udp):
+    answers = [b"what?", b"[" * 4000, b'{"hpac_arm": 1, "ready": true}']
 
     def wait(_):
-        data, address = arm.recvfrom(4096)
-        asked.append(json.loads(data))
-        answers = b"what?", b"[" * 4000, b'{"hpac_arm": 1, "ready": true}'
-        arm.sendto(answers[len(asked) - 1], address)
+        data, address = udp.recvfrom(4096)
+        assert json.loads(data)["phase"] == "ready"
+        udp.sendto(answers.pop(0), address)
         time.sleep(0.01)
 
-    hand = VirtualHand()
     observer = Observer(GRASP, CAN)
     policy = load_policy("grasp", observer)
-    with HandLink(hand.connect) as link:
-        remote.ready(wait, {"phase": "ready"})
-        remote.ready = lambda *_: None
-        run_episode(link, observer, policy, Fixed(PLACE), remote, Log(None), seconds=0.1, hold=0.0)
-    assert len(asked) == 3
-    told = [json.loads(arm.recv(4096)) for _ in range(observer.steps)]
+    remote.ready(wait, {"phase": "ready"})
+    assert not answers
+    remote.ready = lambda *_: None
+    episode(link, policy, arm=remote, observer=observer, hold=0.0)
+    told = [json.loads(udp.recv(4096)) for _ in range(observer.steps)]
     assert list(dict.fromkeys(packet["phase"] for packet in told)) == list(observer.task.phases)
     assert [packet["time"] for packet in told] == pytest.approx(np.arange(observer.steps) / 20)
     assert max(packet["offset"][2] for packet in told) == pytest.approx(0.14, abs=0.002)
-    remote.close()
-    arm.close()
 
 
-def test_an_answer_of_the_arm_to_an_earlier_question_is_none():
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as arm:
-        arm.bind(("127.0.0.1", 0))
-        remote = arm_of(f"udp:127.0.0.1:{arm.getsockname()[1]}")
-        waited = []
+def test_an_answer_of_the_arm_to_an_earlier_question_is_none(remote, udp):
+    waited = []
 
-        def wait(_):
-            waited.append(arm.recvfrom(4096)[1])
-            for _ in range({1: 2, 4: 1}.get(len(waited), 0)):  # twice, since it is slow
-                arm.sendto(b'{"hpac_arm": 1, "ready": true}', waited[-1])
-            time.sleep(0.01)
+    def wait(_):
+        waited.append(udp.recvfrom(4096)[1])
+        for _ in range({1: 2, 4: 1}.get(len(waited), 0)):  # twice, since it is slow
+            udp.sendto(b'{"hpac_arm": 1, "ready": true}', waited[-1])
+        time.sleep(0.01)
 
-        for _ in range(2):
-            remote.ready(wait, {"phase": "ready"})
-        remote.close()
+    for _ in range(2):
+        remote.ready(wait, {"phase": "ready"})
     assert len(waited) == 4
 
 
-def test_the_hand_is_preshaped_before_the_arm_is_asked():
+def test_the_hand_is_preshaped_before_the_arm_is_asked(hand, link):
     class Arriving(Arm):
         def ready(self, wait, told):
             shapes.append(servo_from_pulses(hand.pulses()))
 
     shapes = []
-    hand = VirtualHand()
     observer = Observer(GRASP_TYPE, CAN, grasp="rod")
-    with HandLink(hand.connect) as link:
-        policy = load_policy("scripted", observer)
-        run_episode(link, observer, policy, Fixed(PLACE), Arriving(), Log(None), seconds=0.1)
+    episode(link, load_policy("scripted", observer), arm=Arriving(), observer=observer)
     preshape = servo_from_synergy(GRASP_TYPES["rod"].start.preshape)
     np.testing.assert_allclose(shapes, [preshape], atol=1e-3)
 
@@ -754,31 +666,7 @@ def test_jitter_and_deadlines_are_measured_in_real_time():
     assert 0 <= found["p50_ms"] <= found["p99_ms"] <= found["worst_ms"] <= 25
 
 
-def test_an_object_in_another_place_than_it_is_seen_is_not_held():
-    """The control of the test above: the pose matters."""
-    with gymnasium.make(GRASP, engine="mujoco") as made:
-        env = made.unwrapped
-        held = 0
-        for seed in range(3_000_000, 3_000_006):
-            world = deployed.LockStep(env, seed)
-            observer = Observer(GRASP, world.seen_object)
-            observer.setup = replace(world.body.setup, object=world.seen_object)
-            wrong = Fixed(Pose(np.array([0.08, -0.06, 0.18])))
-            with HandLink(world.hand.connect) as link:
-                policy = load_policy("grasp", observer)
-                run_episode(link, observer, policy, wrong, world, Log(None), seconds=0.1, hold=0.1)
-            held += world.body.outcome == 1
-    assert held <= 4
-
-
 # --- a log beside a simulation
-
-
-@pytest.fixture
-def log(tmp_path, capsys):
-    path = tmp_path / "log.jsonl"
-    assert told(capsys, *WORDS, "--port", "virtual", "--log", str(path))[0] == 0
-    return path
 
 
 def test_a_log_is_played_beside_a_simulation(log, capsys):
@@ -803,22 +691,19 @@ def test_the_simulation_has_the_object_turned_as_it_was_seen(monkeypatch):
     np.testing.assert_allclose(found, turn.as_matrix(), atol=0.02)
 
 
-def test_what_a_policy_needed_of_its_environment_is_played_too(tmp_path, capsys, monkeypatch):
+def test_what_a_policy_needed_of_its_environment_is_played_too(path, capsys, monkeypatch):
     monkeypatch.setattr("hpac_gym.deploy.arm.Person.ready", lambda *_: None)
-    log = tmp_path / "log.jsonl"
-    words = ("grasp-any-wrist", *WORDS[1:], "--port", "virtual", "--arm", "enter")
-    assert told(capsys, *words, "--log", str(log))[0] == 0
-    status, said = told(capsys, log, command="replay")
+    words = ("grasp-any-wrist", *WORDS[1:], *VIRTUAL, "--arm", "enter", "--log", path)
+    assert told(capsys, *words)[0] == 0
+    status, said = told(capsys, path, command="replay")
     assert (status, said.err) == (0, "")
     assert said.out.startswith("grasp-any-wrist on virtual, 144 steps, ended: done")
 
 
-def test_nothing_is_compared_after_the_end_of_the_simulation(tmp_path, capsys):
-    log = tmp_path / "log.jsonl"
-    words = ("pick-place", *WORDS[1:], "--port", "virtual", "--log", str(log))
+def test_nothing_is_compared_after_the_end_of_the_simulation(path, capsys):
     with pytest.warns(UserWarning, match="PickPlace-v0 draws it at"):
-        assert told(capsys, *words)[0] == 0
-    status, said = told(capsys, log, command="replay")
+        assert told(capsys, "pick-place", *WORDS[1:], *VIRTUAL, "--log", path)[0] == 0
+    status, said = told(capsys, path, command="replay")
     assert (status, said.err) == (0, "")
     lines = said.out.splitlines()
     assert float(lines[1].split()[3]) < 0.15
@@ -871,7 +756,6 @@ def test_a_log_that_was_cut_short_is_read(log, capsys):
     ],
     ids=range(7),
 )
-def test_what_is_no_log_is_one_line(tmp_path, capsys, text, says):
-    path = tmp_path / "log.jsonl"
+def test_what_is_no_log_is_one_line(path, capsys, text, says):
     path.write_text(text)
     assert says in refused(capsys, lambda: hpac.main(["replay", str(path)]))
