@@ -35,7 +35,7 @@ from hpac_gym.model import HPAC, SERVOS, Hand, joints_from_synergy, load_hand
 from hpac_gym.model.calibration import Calibration
 from hpac_gym.model.maps import CommandMap
 from hpac_gym.model.settled import settled_joints_from_servo
-from hpac_gym.output import OutputError, markdown, read_text, writable_file
+from hpac_gym.output import OutputError, markdown, read_text
 from hpac_gym.physics.stand import HAND
 from hpac_gym.registration import GRASP
 
@@ -230,7 +230,6 @@ def main(argv: list[str] | None = None) -> int:
     if arguments.draw:
         draw(json.loads(read_text(arguments.out, "cells", OutputError))["cells"], arguments.draw)
         return 0
-    writable_file(arguments.out)
     wanted = [(kind, seed) for kind in POPULATIONS for seed in range(arguments.hands)]
     pairs = list(shared(_calibrated, wanted, arguments.workers, "calibrating"))
     hands = [(*one, *pair) for one, pair in zip(wanted, pairs, strict=True) if pair]

@@ -32,7 +32,7 @@ from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import paired_difference, success_counts
 from hpac_gym.evaluation.workers import shared
 from hpac_gym.model import HPAC
-from hpac_gym.output import markdown, writable_file
+from hpac_gym.output import markdown
 from hpac_gym.policies.loading import load_policy
 from hpac_gym.tasks.cameras import CameraNoise
 from hpac_gym.tasks.task import CONTROL_HZ, SUCCESS
@@ -191,7 +191,6 @@ def main(argv: list[str] | None = None) -> int:
     if arguments.real_time:
         print(json.dumps(in_real_time(arguments.real_time)))
         return 0
-    writable_file(arguments.out)
     last = HELD_OUT_SEED + arguments.episodes
     jobs = [
         (arguments.policy, list(LINKS), list(range(first, min(first + 10, last))))

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from experiments.chain import slack_hand, swept
-from experiments.results import write_results
+from experiments.results import add_out, write_results
 from hpac_gym.calibration.calibrate import named
 from hpac_gym.calibration.identification import identify
 from hpac_gym.calibration.posterior import read_draws, write_draws
@@ -27,7 +27,7 @@ from hpac_gym.evaluation.evaluate import run_block
 from hpac_gym.evaluation.forecast import Forecast, forecast
 from hpac_gym.evaluation.statistics import wilson_interval
 from hpac_gym.model import HPAC, Hand, hand_to_toml, load_hand
-from hpac_gym.output import markdown, writable_file, write_text
+from hpac_gym.output import markdown, write_text
 from hpac_gym.progress import progress
 from hpac_gym.registration import GRASP
 
@@ -148,9 +148,8 @@ def main(argv: list[str] | None = None) -> int:
     """Continue the file row by row, and print the table of the rows that it has."""
     parser = command_parser("experiments.forecast", __doc__)
     parser.add_argument("--hands", type=whole_number(1), default=40, help="hidden hands")
-    parser.add_argument("--out", type=Path, default=OUT, metavar="JSON")
+    add_out(parser, OUT)
     arguments = parser.parse_args(argv)
-    writable_file(arguments.out)
     text: dict[str, Any] = {"without_a_sweep": {}, "rows": []}
     if arguments.out.exists():
         text = json.loads(arguments.out.read_text())

@@ -20,7 +20,7 @@ from hpac_gym.evaluation.evaluate import env_id_of
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.workers import shared
 from hpac_gym.model.checks import Array
-from hpac_gym.output import markdown, writable_file
+from hpac_gym.output import markdown
 from hpac_gym.physics.simulation import Simulation
 from hpac_gym.policies import Policy
 from hpac_gym.policies.loading import load_policy
@@ -154,7 +154,6 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--episodes", type=whole_number(BATCH), default=240, help="for each row")
     add_workers_and_out(parser, OUT)
     arguments = parser.parse_args(argv)
-    writable_file(arguments.out)
     blocks = arguments.episodes // BATCH
     jobs = [
         (arguments.policy, row, block, [HELD_OUT_SEED + block * BATCH + i for i in range(BATCH)])

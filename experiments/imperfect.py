@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from experiments.imperfect_hands import SEED, ImperfectHand, Session, swept
-from experiments.results import Column, Interval, range_of, rows_of, table, write_results
+from experiments.results import Column, Interval, add_out, range_of, rows_of, table, write_results
 from hpac_gym.calibration.doubts import doubts
 from hpac_gym.calibration.file_errors import BOUND, check_errors, expected_worst_deg, file_errors
 from hpac_gym.calibration.fitting import IdentificationError
@@ -22,7 +22,6 @@ from hpac_gym.model import HPAC, JOINT_INDEX, SERVOS, Hand
 from hpac_gym.model.checks import Array
 from hpac_gym.model.files import hand_from_toml, hand_to_toml
 from hpac_gym.model.settled import settled_joints_from_servo, settled_servo_from_synergy
-from hpac_gym.output import writable_file
 from hpac_gym.progress import progress
 
 CHOSEN_ON = 1000
@@ -143,9 +142,8 @@ def main(argv: list[str] | None = None) -> int:
     """Judge the hands with either protocol, print the table and write it."""
     parser = command_parser("experiments.imperfect", __doc__)
     parser.add_argument("--hands", type=whole_number(2), default=40, help="hands")
-    parser.add_argument("--out", type=Path, default=OUT, metavar="JSON")
+    add_out(parser, OUT)
     arguments = parser.parse_args(argv)
-    writable_file(arguments.out)
     judged_by = {}
     for name, both_ways in (("flexion alone", False), ("points both ways", True)):
         seeds = progress(range(JUDGED_ON, JUDGED_ON + arguments.hands), name)

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from hpac_gym.command import whole_number
 from hpac_gym.evaluation.statistics import paired_difference, success_counts
-from hpac_gym.output import markdown, write_text
+from hpac_gym.output import markdown, writable_file, write_text
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,7 +134,20 @@ def log_ticks(axis: Axis, ticks: Sequence[float]) -> None:
 def add_workers_and_out(parser: argparse.ArgumentParser, out: Path) -> None:
     """The arguments ``--workers`` and ``--out`` of an experiment that runs episodes."""
     parser.add_argument("--workers", type=whole_number(1), default=os.cpu_count() or 1)
-    parser.add_argument("--out", type=Path, default=out, metavar="JSON")
+    add_out(parser, out)
+
+
+def add_out(parser: argparse.ArgumentParser, out: Path) -> None:
+    """The argument ``--out`` of an experiment; a file that cannot be written is refused before hours
+    of work.
+    """
+    parser.add_argument("--out", type=_writable, default=str(out), metavar="JSON")
+
+
+def _writable(name: str) -> Path:
+    path = Path(name)
+    writable_file(path)
+    return path
 
 
 def write_results(path: Path, words: str, **data: object) -> None:

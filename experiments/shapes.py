@@ -16,7 +16,7 @@ from hpac_gym.command import command_parser, run, whole_number
 from hpac_gym.evaluation.evaluate import run_block
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.workers import shared
-from hpac_gym.output import markdown, writable_file
+from hpac_gym.output import markdown
 from hpac_gym.policies.loading import needed_options
 from hpac_gym.registration import GRASP_ANY
 
@@ -175,7 +175,6 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--episodes", type=whole_number(1), default=50, help="of each shape")
     add_workers_and_out(parser, OUT)
     arguments = parser.parse_args(argv)
-    writable_file(arguments.out)
     names = [SCRIPTED, *arguments.policy]
     jobs = [(name, shape, arguments.body, arguments.episodes) for name in names for shape in SHAPES]
     held: dict[str, dict[str, list[bool]]] = {name: {} for name in names}

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from experiments.hidden import LAWS, hidden_hands
 from experiments.pictures import Piece, Pinhole
 from experiments.quasistatic import Built
-from experiments.results import write_results
+from experiments.results import add_out, write_results
 from experiments.rig import rig_of
 from experiments.strips import PROTOCOL, RATE_HZ, TOOTH, watched_sweep
 from hpac_gym.calibration.file_errors import check_errors
@@ -29,7 +29,6 @@ from hpac_gym.camera.poses import object_place
 from hpac_gym.command import command_parser, run, whole_number
 from hpac_gym.model import HPAC
 from hpac_gym.model.checks import Array
-from hpac_gym.output import writable_file
 from hpac_gym.progress import progress
 
 OUT = Path("docs/results/experiments/watched.json")
@@ -100,9 +99,8 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--pictures", type=whole_number(0), default=500)
     parser.add_argument("--hands", type=whole_number(0), default=2)
     parser.add_argument("--seed", type=whole_number(0), default=0)
-    parser.add_argument("--out", type=Path, default=OUT)
+    add_out(parser, OUT)
     arguments = parser.parse_args(argv)
-    writable_file(arguments.out)
     seed = arguments.seed
     objects = []
     for name, lens in LENSES.items() if arguments.pictures else ():
