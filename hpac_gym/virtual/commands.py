@@ -9,7 +9,7 @@ import signal
 import sys
 import time
 from contextlib import ExitStack, closing, suppress
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -42,13 +42,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--pose-port", type=int, default=0, help="UDP port that poses go to (free)")
     parser.add_argument("--arm-port", type=int, default=0, help="UDP port of the arm (a free one)")
-    for name, help_text in (
-        ("loss", "share of the frames that are lost, in each direction"),
-        ("damage", "share of the frames that are damaged"),
-        ("jitter", "the host's frames are late by up to this [s]"),
-        ("latency", "the hand's frames are late by this [s], 0.016 for many USB adapters"),
-    ):
-        parser.add_argument(f"--{name}", type=float, default=0.0, metavar="X", help=help_text)
+    for fault in fields(Faults):
+        parser.add_argument(
+            f"--{fault.name}",
+            type=float,
+            default=fault.default,
+            metavar="X",
+            help=fault.metadata["meaning"],
+        )
     parser.add_argument(
         "--heat", type=whole_number(0), default=0, metavar="PERCENT", help="heat of its servos"
     )
@@ -78,7 +79,7 @@ def run(options: argparse.Namespace) -> int:
     """Be a hand until Ctrl-C."""
     if options.heat > 100:
         raise ParameterError(f"--heat {options.heat} % must be at most 100 %")
-    faults = Faults(options.loss, options.damage, options.jitter, options.latency)
+    faults = Faults(**{fault.name: getattr(options, fault.name) for fault in fields(Faults)})
     for number in (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)):
         if signal.getsignal(number) != signal.SIG_IGN:  # as `nohup` has it
             signal.signal(number, signal.default_int_handler)

@@ -16,20 +16,25 @@ from hpac_gym.settings import check_bounds, setting
 
 @dataclass(frozen=True, slots=True)
 class Faults:
-    """Faults of a wire.
+    """Faults of a wire. A damaged frame has one bit flipped; each delay of the host's is drawn anew.
 
     Raises:
         ParameterError: A share that is not in [0, 1], or a delay that is not in [0, 10] s.
     """
 
-    loss: float = setting(0.0, bounds=(0.0, 1.0))
-    """Share of the frames that are lost, in each direction."""
-    damage: float = setting(0.0, bounds=(0.0, 1.0))
-    """Share of the frames of which one bit is flipped, in each direction."""
-    jitter: float = setting(0.0, bounds=(0.0, 10.0), unit="s")
-    """Longest delay of the host's frames, each drawn anew [s]."""
-    latency: float = setting(0.0, bounds=(0.0, 10.0), unit="s")
-    """Delay of the hand's frames [s]."""
+    loss: float = setting(
+        0.0, "share of the frames that are lost, in each direction", bounds=(0.0, 1.0)
+    )
+    damage: float = setting(0.0, "share of the frames that are damaged", bounds=(0.0, 1.0))
+    jitter: float = setting(
+        0.0, "the host's frames are late by up to this [s]", bounds=(0.0, 10.0), unit="s"
+    )
+    latency: float = setting(
+        0.0,
+        "the hand's frames are late by this [s], 0.016 for many USB adapters",
+        bounds=(0.0, 10.0),
+        unit="s",
+    )
 
     def __post_init__(self) -> None:
         check_bounds(self)
