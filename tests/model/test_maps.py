@@ -7,13 +7,13 @@ import pytest
 
 from hpac_gym.model import (
     HPAC,
+    JOINT_INDEX,
     SERVOS,
     elastic_joints_from_servo,
     servo_from_action,
     synergy_from_action,
 )
 from hpac_gym.model.calibration import Calibration, Friction
-from hpac_gym.model.joints import JOINT_INDEX
 from hpac_gym.model.maps import POINTS, CommandMap
 from hpac_gym.model.settled import (
     EXTENSION,
