@@ -63,7 +63,6 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self.action_space = self._episodes.action_space
         self.slices = self._episodes.observations.slices
         self.dt = self._episodes.dt
-        self._running = False
 
     def __reduce_ex__(self, protocol: SupportsIndex) -> NoReturn:
         """Refuse copies, which would step and close the original's physics.
@@ -105,6 +104,9 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             raise EpisodeError("no episode is running: call reset() first")
         return self.episodes
 
+    def _is_over(self) -> bool:
+        return self._episodes.outcome.item() != RUNNING
+
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
@@ -121,11 +123,10 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             ShapeError: A setup or goal with an array of the wrong shape, NaN or infinity.
             WorkspaceError: A goal that leaves the bounds of the observation.
         """
-        self._running = False
+        self.episodes.now = None  # a reset that is refused leaves no episode running
         given = setups_of(options, self.task, self.hand)
         super().reset(seed=seed)
         drawn = self.episodes.reset([0], [self.np_random], given)[0]
-        self._running = True
         self.episodes.pictures.show()
         return self._observe(), self._info() | {
             "randomized": {name: list(value) for name, value in drawn.items()}
@@ -147,16 +148,15 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             PhysicsWarning: The simulation failed in MuJoCo: the episode ends as a failure.
         """
         episodes = self._begun()
-        if not self._running:
+        if self._is_over():
             raise EpisodeError("no episode is running: call reset() first")
         (size,) = self.action_space.shape
         action = as_array(action, size, "action")
         if action.ndim != 1:
             raise ShapeError(f"action must have shape ({size},), not {action.shape}")
         reward = float(episodes.step(action[None])[0])
-        self._running = episodes.outcome.item() == RUNNING
         episodes.pictures.show()
-        return self._observe(), reward, not self._running, False, self._info()
+        return self._observe(), reward, self._is_over(), False, self._info()
 
     def save_state(self) -> Any:
         """The state of the episode, for `restore_state`. Wrappers have state of their own: step
@@ -171,7 +171,7 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             raise EpisodeError(
                 "a state cannot be saved with transmit: what is at the far end keeps its own"
             )
-        return self._running, save_episode(episodes)
+        return save_episode(episodes)
 
     def restore_state(self, state: Any) -> None:
         """Restore a state from `save_state`, any number of times: the same actions then give the
@@ -181,9 +181,7 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             EpisodeError: The state is of another episode, or of another environment; or after
                 `close`.
         """
-        running, snapshot = state
-        restore_episode(self.episodes, snapshot)
-        self._running = running
+        restore_episode(self.episodes, state)
 
     def _observe(self) -> Observation:
         return of_world(self._episodes.observe(), 0)
@@ -194,7 +192,7 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         info = {name: values.tolist()[0] for name, values in report.items()}
         if not self.task.goal_terms:
             info["reward_terms"] = {name: values.item() for name, values in episodes.terms.items()}
-        if not self._running:
+        if self._is_over():
             info["epsilon"] = quality(episodes, 0)
         return info
 
@@ -216,7 +214,6 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         if self._episodes is not None:
             self._episodes.close()
         self._episodes = None
-        self._running = False
 
 
 class GoalRewards:
