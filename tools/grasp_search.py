@@ -100,10 +100,9 @@ def search(options: argparse.Namespace) -> GraspType:
         for number, engine in enumerate(engines):
             engine, body, randomize = engine.split("/")
             seeds = [SEARCH_SEED + 100 * generation + number] * population
-            worlds = population if engine == "mujoco" else 1
             types = [candidate(kind, numbers) for numbers in drawn]
             for index, trial in run_types(
-                types, seeds, engine=engine, body=body, randomize=randomize, num_worlds=worlds
+                types, seeds, engine=engine, body=body, randomize=randomize
             ):
                 points[index] += score(trial) / len(engines)
                 wins[index] += trial.success

@@ -33,8 +33,6 @@ from tools.type_trials import run_types
 
 RESULTS = Path(__file__).parents[1] / "docs" / "grasp_types.json"
 HANDS = ("nominal", "hand", "full")
-WORLDS = 20
-"""Number of parallel worlds on MuJoCo."""
 
 
 def fingerprint(name: str) -> str:
@@ -62,7 +60,6 @@ def judge(name: str, set_up: str, hand: str, episodes: int) -> dict[str, Any]:
         engine=engine,
         body=body,
         randomize=hand,
-        num_worlds=WORLDS if engine == "mujoco" else 1,
         world=world,
     )
     trials = [trial for _, trial in found]

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpac_gym.envs import HandVectorEnv
-from hpac_gym.evaluation.episodes import run_episodes
+from hpac_gym.evaluation.episodes import BATCH, run_episodes
 from hpac_gym.model import HPAC, action_from_synergy
 from hpac_gym.physics.settings import WorldSettings
 from hpac_gym.physics.simulation import make_engine
@@ -80,10 +80,10 @@ def run_types(
     engine: str = "pybullet",
     body: str = "twin",
     randomize: str = "nominal",
-    num_worlds: int = 1,
     world: WorldSettings = WorldSettings(),
 ) -> Iterator[tuple[int, TypeTrial]]:
-    """Run one episode per type and seed, with a closure that moves straight to the type's posture.
+    """Run one episode per type and seed, with a closure that moves straight to the type's posture; on
+    MuJoCo in a batch.
 
     An episode depends only on its type and seed, not on the episodes that run in parallel.
 
@@ -91,7 +91,7 @@ def run_types(
         Index of the episode in `types`, and its result, in the order in which the episodes end.
     """
     task = _Queue(types)
-    count = min(num_worlds, len(types))
+    count = min(BATCH, len(types)) if engine == "mujoco" else 1
     physics = make_engine(engine, count, world)
     envs = HandVectorEnv(task, count, "Disabled", physics=physics, body=body, randomize=randomize)
     policies = [_Straight() for _ in range(count)]

@@ -17,14 +17,7 @@ SEEDS = range(7_000_000, 7_000_008)
 
 
 def trials(kind: GraspType, count: int, engine: str = "mujoco") -> list[TypeTrial]:
-    found = dict(
-        run_types(
-            [kind] * count,
-            SEEDS[:count],
-            engine=engine,
-            num_worlds=count if engine == "mujoco" else 1,
-        )
-    )
+    found = dict(run_types([kind] * count, SEEDS[:count], engine=engine))
     return [found[index] for index in range(count)]
 
 
