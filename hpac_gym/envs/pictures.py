@@ -31,7 +31,7 @@ class Pictures:
         self._placed: SceneSetup | None = None
 
     def take(
-        self, world: int, viewpoint: Viewpoint | None = None, centre: Array = VIEW_TARGET
+        self, world: int, viewpoint: Viewpoint, centre: Array = VIEW_TARGET
     ) -> NDArray[np.uint8]:
         """RGB image of a world, shape (height, width, 3), centred on a point of the hand frame,
         shape (3,) [m].
@@ -39,7 +39,6 @@ class Pictures:
         episodes = self._episodes
         place = episodes.now.state.palm_offset[world]
         place = HAND_POSITION + place + episodes.setups[world].hand_rotation @ centre
-        viewpoint = viewpoint or episodes.task.viewpoint
         return episodes.simulation.engine.picture(world, viewpoint, place)
 
     def all(self, **size: int) -> list[NDArray[np.uint8]]:

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpac_gym.body.objects import ObjectSpec
-from hpac_gym.model import DIGITS, JOINT_INDEX, SERVOS
+from hpac_gym.model import DIGITS, SERVOS
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import SceneSetup, SceneState, Viewpoint
-from hpac_gym.physics.tendons import Drive
+from hpac_gym.physics.tendons import ROOTS, Drive
 from hpac_gym.tasks.cameras import CameraNoise, ObjectCamera
 from hpac_gym.tasks.occlusion import Rows, Skeleton, covered, dots, surface
 from hpac_gym.tasks.terms import GRASP_CENTRE, LENGTH_UNIT, Term
@@ -23,7 +23,6 @@ _SPREAD = 160
 """Number of points sampled on an object's surface; less than half of them face the camera."""
 _PROBED = 48
 """Number of those points that decide whether the object is seen."""
-_ROOTS = [JOINT_INDEX[name] for name in SERVOS[: len(DIGITS)]]
 _LAW = ("servo_radius", "alpha", "squares", "product", "length", "stiffness", "limit")
 """Fields of a `Drive` that its tension at rest depends on."""
 SEEN_SHARE = 0.7
@@ -213,7 +212,7 @@ class Senses:
         radius, alpha, squares, product, length, stiffness, limit = self._drives[rows].swapaxes(
             0, 1
         )
-        chord = np.sqrt(squares - product * np.cos(alpha - state.joint_pos[rows][:, _ROOTS]))
+        chord = np.sqrt(squares - product * np.cos(alpha - state.joint_pos[rows][:, ROOTS]))
         pulls = radius * state.horn[rows, : len(DIGITS)] + chord - length
         stretch = np.maximum(pulls, 0.0)
         tension = np.minimum(stiffness * stretch, limit)
