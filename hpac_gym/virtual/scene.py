@@ -10,6 +10,7 @@ from hpac_gym.body.geometry import HPAC_GEOMETRY
 from hpac_gym.body.hands import hand_set
 from hpac_gym.command import whole_number
 from hpac_gym.deploy.commands import object_of
+from hpac_gym.envs.randomization import PRESETS
 from hpac_gym.errors import ParameterError
 from hpac_gym.evaluation.environment import make_env
 from hpac_gym.model import DIGITS, HPAC, SERVOS, synergy_from_servo
@@ -23,11 +24,6 @@ CAN = "cylinder:0.02,0.05"
 IN_REACH = (0.0285, 0.0, 0.12)
 """Place of the palm's side of the object in the hand's frame, without a seed [m]; chosen: the thumb
 does not touch a can there on its way, and the policy, and five digits that close together, hold it.
-"""
-FRICTION = (0.0, 5e-3)
-SKIN = (0.8, 1.2)
-"""Ranges of a hidden hand's Coulomb friction of the joints [N·m] and of the factor of its skin's
-friction, beside what `hpac_gym.body.hands` draws; those of the randomization `hand`.
 """
 
 
@@ -62,7 +58,9 @@ def env_of(options: argparse.Namespace) -> Any:
 
 
 def scene(env: Any, env_id: str, seed: int | None) -> SceneSetup:
-    """The scene of a seed, with the hand open; a seed hides a hand from the set ``train`` in it."""
+    """The scene of a seed, with the hand open; a seed hides a hand from the set ``train`` in it, whose
+    friction is drawn as by the randomization ``hand``.
+    """
     env.reset(seed=seed or 0)
     setup = env.episodes.setups[0]
     if env_id != GRASP:  # an `Observer` has drawn the same orientation and target
@@ -72,10 +70,12 @@ def scene(env: Any, env_id: str, seed: int | None) -> SceneSetup:
         rng = np.random.default_rng([seed, 7])
         variants = hand_set("train")
         variant = variants[rng.integers(len(variants))]
+        ranges = PRESETS["hand"]
         settings = replace(
             variant.over(setup.hand_settings),
-            joint_friction=rng.uniform(*FRICTION),
-            contact_friction=setup.hand_settings.contact_friction * rng.uniform(*SKIN),
+            joint_friction=rng.uniform(*ranges.joint_friction),
+            contact_friction=setup.hand_settings.contact_friction
+            * rng.uniform(*ranges.skin_friction),
         )
         setup = replace(setup, hand=variant.hand, geometry=variant.geometry, hand_settings=settings)
     elif env_id == GRASP and setup.object.model is None:
