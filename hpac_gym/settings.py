@@ -1,9 +1,9 @@
-"""Frozen settings: checks of their bounds on construction, and settings from JSON-compatible
-mappings.
+"""Frozen settings: checks of their bounds on construction, settings from JSON-compatible mappings,
+and checks of names.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass, replace
 from functools import cache
 from numbers import Real
@@ -59,6 +59,16 @@ def check_bounds(settings: Any, name: str = "") -> None:
             raise ParameterError(f"{name} {row.name} = {given!r} {row.told}{form}".lstrip())
         if row.count > 1 and not isinstance(given, tuple):
             object.__setattr__(settings, row.name, tuple(given))
+
+
+def check_choice(name: str, given: Any, known: Collection[Any]) -> None:
+    """Refuse a value that is not one of the known names.
+
+    Raises:
+        ParameterError: It is not.
+    """
+    if not (isinstance(given, str | None) and given in known):
+        raise ParameterError(f"{name} {given!r} is not one of {', '.join(map(str, known))}")
 
 
 @dataclass(frozen=True, slots=True)

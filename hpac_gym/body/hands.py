@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from hpac_gym.body.geometry import HPAC_GEOMETRY, Geometry
-from hpac_gym.errors import ParameterError
 from hpac_gym.model import DIGITS, FINGERS, HPAC, JOINT_INDEX, SERVOS, Digit, Hand
 from hpac_gym.model.checks import Array
 from hpac_gym.model.variation import scaled_digit
+from hpac_gym.settings import check_choice
 
 SEED = 20_251
 """Seed of both sets; the training hands are drawn first."""
@@ -89,8 +89,7 @@ def hand_set(name: str) -> tuple[HandVariant, ...]:
     Raises:
         ParameterError: `name` is not one of `SIZES`.
     """
-    if name not in SIZES:
-        raise ParameterError(f"hand set {name!r} is not one of {', '.join(SIZES)}")
+    check_choice("hand set", name, SIZES)
     return tuple(_variant(name, index) for index in range(SIZES[name]))
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from hpac_gym.body.object_models import ObjectModel, load_object_models
 from hpac_gym.body.solids import Solid
 from hpac_gym.errors import ParameterError
-from hpac_gym.settings import check_bounds, setting
+from hpac_gym.settings import check_bounds, check_choice, setting
 
 Shape = Literal["cylinder", "box", "sphere"]
 SHAPES: tuple[Shape, ...] = ("cylinder", "box", "sphere")
@@ -46,8 +46,7 @@ class ObjectSpec:
     """Scale factor of the model."""
 
     def __post_init__(self) -> None:
-        if self.shape not in SHAPES:
-            raise ParameterError(f"shape {self.shape!r} is not one of {', '.join(SHAPES)}")
+        check_choice("shape", self.shape, SHAPES)
         if isinstance(self.half_extents, np.ndarray):
             object.__setattr__(self, "half_extents", tuple(self.half_extents.tolist()))
         check_bounds(self, "object")
@@ -56,10 +55,7 @@ class ObjectSpec:
         if (self.shape != "box" and x != y) or (self.shape == "sphere" and x != z):
             raise ParameterError(f"half extents {self.half_extents} m do not fit a {self.shape}")
         if self.model is not None and not isinstance(self.model, ObjectModel):
-            if self.model not in load_object_models():
-                raise ParameterError(
-                    f"model {self.model!r} is not one of {', '.join(load_object_models())}"
-                )
+            check_choice("model", self.model, load_object_models())
             object.__setattr__(self, "model", load_object_models()[self.model])
         if self.model is not None and self.model.has_hulls and self.scale != 1:
             raise ParameterError(

@@ -19,6 +19,7 @@ from hpac_gym.body.own_meshes import DETAILS, of_mesh
 from hpac_gym.body.solids import Solid, bounds_of
 from hpac_gym.errors import ParameterError
 from hpac_gym.model.checks import Array
+from hpac_gym.settings import check_choice
 
 MIN_SIDE = 0.002
 MAX_SIDE = 0.4
@@ -73,9 +74,8 @@ def own_object(
     ):
         if name != "mass" or mass is not None:
             _check_positive(f"'{path}'", name, value, most)
-    for name, given, known in (("up", up, _UP), ("detail", detail, DETAILS)):
-        if given not in list(known):
-            raise ParameterError(f"{name} {given!r} is not one of {', '.join(known)}")
+    check_choice("up", up, _UP)
+    check_choice("detail", detail, DETAILS)
     read = partial(of_mesh, settings=DETAILS[detail], folder=folder)
     if path.suffix.lower() == ".urdf":
         solids, stated_mass = _of_urdf(path, scale, read)

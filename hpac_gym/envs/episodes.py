@@ -25,7 +25,7 @@ from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import Engine, PhysicsError, PhysicsWarning, SceneSetup, SceneState
 from hpac_gym.physics.settings import BODIES, HandSettings
 from hpac_gym.physics.simulation import Simulation, make_engine
-from hpac_gym.tasks.options import check_choice
+from hpac_gym.settings import check_choice
 from hpac_gym.tasks.quality import contact_wrenches, largest_ball
 from hpac_gym.tasks.task import CONTROL_HZ, FAILURE, RUNNING, GoalSetup, Task
 from hpac_gym.tasks.terms import Moment

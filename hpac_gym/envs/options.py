@@ -16,9 +16,9 @@ from hpac_gym.model.checks import as_bounded_array, as_finite_vector, as_unit_ve
 from hpac_gym.physics.engine import SceneSetup
 from hpac_gym.physics.settings import BODIES, WorldSettings
 from hpac_gym.physics.simulation import ENGINES
-from hpac_gym.settings import check_bounds, settings_from
+from hpac_gym.settings import check_bounds, check_choice, settings_from
 from hpac_gym.tasks.cameras import CameraNoise
-from hpac_gym.tasks.options import Option, check_choice, options_of
+from hpac_gym.tasks.options import Option, options_of
 from hpac_gym.tasks.task import GoalSetup, Task
 
 MODELS = EXACT, CALIBRATED = "hand", "calibrated"

@@ -15,6 +15,7 @@ from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import Engine, SceneSetup, SceneState
 from hpac_gym.physics.servos import Servos
 from hpac_gym.physics.settings import WorldSettings
+from hpac_gym.settings import check_choice
 
 ENGINES = ("pybullet", "mujoco")
 SET_UPS = ("pybullet/twin", "mujoco/twin", "mujoco/light")
@@ -126,8 +127,7 @@ def make_engine(
     """
     if num_worlds < 1:
         raise ParameterError(f"{num_worlds} worlds: at least 1 is needed")
-    if name not in ENGINES:
-        raise ParameterError(f"engine {name!r} is not one of {', '.join(ENGINES)}")
+    check_choice("engine", name, ENGINES)
     if not is_installed(name):
         raise ParameterError(
             f"engine {name!r} needs a package that is not installed: {INSTEAD[name]}"

@@ -15,7 +15,7 @@ from hpac_gym.model import HPAC, Hand
 from hpac_gym.model.checks import Array, as_unit_vector
 from hpac_gym.physics.engine import SceneSetup, SceneState, Viewpoint
 from hpac_gym.physics.settings import GRAVITY
-from hpac_gym.settings import settings_from
+from hpac_gym.settings import check_choice, settings_from
 from hpac_gym.tasks import placing
 from hpac_gym.tasks.cameras import CameraNoise
 from hpac_gym.tasks.grasp_any_setups import (
@@ -32,7 +32,7 @@ from hpac_gym.tasks.grasp_any_setups import (
     pull_of,
 )
 from hpac_gym.tasks.grip import Grip, lengths
-from hpac_gym.tasks.options import Option, check_choice, config_option
+from hpac_gym.tasks.options import Option, config_option
 from hpac_gym.tasks.phases import phase_at, wrist_table
 from hpac_gym.tasks.privileged import PRIVILEGED_TERMS
 from hpac_gym.tasks.scripted import ScriptedGraspAny

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from hpac_gym.model import HPAC, Hand, action_from_synergy
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import Contacts, SceneSetup, SceneState
-from hpac_gym.settings import check_bounds, setting
+from hpac_gym.settings import check_bounds, check_choice, setting
 from hpac_gym.tasks.arrival import WRIST_ACTIONS, arrived, in_the_way, out_of_reach, wrist_choice
 from hpac_gym.tasks.cameras import CameraNoise, ObjectCamera
 from hpac_gym.tasks.grasp import CLOSE, Grasp
@@ -32,7 +32,7 @@ from hpac_gym.tasks.grasp_type_data import (
     GraspType,
     chosen_types,
 )
-from hpac_gym.tasks.options import Option, check_choice, config_option
+from hpac_gym.tasks.options import Option, config_option
 from hpac_gym.tasks.phases import CONTROL_HZ, Timetable
 from hpac_gym.tasks.scripted import CLOSE_TIME, Script
 from hpac_gym.tasks.task import FAILURE, SUCCESS, effort_term, outcome_term, paid_where

@@ -5,8 +5,6 @@ from dataclasses import dataclass, replace
 from inspect import Parameter, signature
 from typing import Any, get_type_hints
 
-from hpac_gym.errors import ParameterError
-
 
 @dataclass(frozen=True, slots=True)
 class Option:
@@ -43,13 +41,3 @@ def config_option(kind: type) -> Option:
         (None,),
         f"`hpac_gym.envs.{kind.__name__}`, dictionary of its fields",
     )
-
-
-def check_choice(name: str, given: Any, known: tuple[Any, ...]) -> None:
-    """Refuse a value of an option that is not one of its names.
-
-    Raises:
-        ParameterError: It is not.
-    """
-    if not (isinstance(given, str | None) and given in known):
-        raise ParameterError(f"{name} {given!r} is not one of {', '.join(map(str, known))}")
