@@ -2,8 +2,6 @@
 of every frame.
 """
 
-from __future__ import annotations
-
 import json
 import secrets
 from collections import deque
