@@ -76,14 +76,14 @@ class Closures:
             )
 
     @classmethod
-    def of(cls, ranges: Mapping[str, Any]) -> Closures:
-        """The closures that a policy file describes.
+    def of(cls, ranges: Mapping[str, Any] | None) -> Closures | None:
+        """The closures that a policy file describes; None if it describes none.
 
         Raises:
             PolicyError: A name is unknown, or a range is invalid.
         """
         try:
-            return cls(**ranges)
+            return None if ranges is None else cls(**ranges)
         except (TypeError, ValueError) as error:
             raise PolicyError(f"invalid closure ranges: {error}") from None
 

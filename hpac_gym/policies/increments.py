@@ -66,14 +66,14 @@ class Increments:
                 )
 
     @classmethod
-    def of(cls, told: Mapping[str, Any]) -> Increments:
-        """The increments that a policy file describes.
+    def of(cls, told: Mapping[str, Any] | None) -> Increments | None:
+        """The increments that a policy file describes; None if it describes none.
 
         Raises:
             PolicyError: A name is unknown or missing, or a number invalid.
         """
         try:
-            return cls(**told)
+            return None if told is None else cls(**told)
         except (TypeError, ValueError) as error:
             raise PolicyError(f"invalid increments: {error}") from None
 

@@ -126,9 +126,8 @@ def read_onnx(folder: Path, env: gymnasium.Env[Any, Any]) -> LearnedPolicy:
         decision = told["decision"]
         entries = [[*map(entry.get, ENTRY)] for entry in told["observation"]]
         described = told | {"made_for": told | {"observation": entries}}
-        closures = None if decision["closure"] is None else Closures.of(decision["closure"])
-        told_moves = decision.get("increments")
-        moves = None if told_moves is None else Increments.of(told_moves)
+        closures = Closures.of(decision["closure"])
+        moves = Increments.of(decision.get("increments"))
         if not (repeat := 1 if closures else decision["control_steps"]) >= 1:
             raise ValueError(f"control_steps is {repeat}, and must be at least 1")
         if (inputs := [entry.name for entry in session.get_inputs()]) != ["observation"]:

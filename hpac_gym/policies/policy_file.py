@@ -92,8 +92,7 @@ class PolicyFile:
         Raises:
             PolicyError: The ranges are invalid.
         """
-        told = self.about.get("closure")
-        return None if told is None else Closures.of(told)
+        return Closures.of(self.about.get("closure"))
 
     @property
     def increments(self) -> Increments | None:
@@ -102,8 +101,7 @@ class PolicyFile:
         Raises:
             PolicyError: They are invalid.
         """
-        told = self.about.get("increments")
-        return None if told is None else Increments.of(told)
+        return Increments.of(self.about.get("increments"))
 
     @property
     def sizes(self) -> tuple[int, int]:
