@@ -42,19 +42,16 @@ OPTIONS = {
 PLACEHOLDERS = {"grasp": "NAME", "object": "SHAPE:M,M", "hand": "FILE", "model": "FILE"}
 
 
-def add_env_options(
-    parser: argparse.ArgumentParser, env: str | None = None, but: tuple[str, ...] = ()
-) -> None:
+def add_env_options(parser: argparse.ArgumentParser, env: str, but: tuple[str, ...] = ()) -> None:
     """Add the options of the environment to a command; `env_options` reads them.
 
     Args:
         parser: the command's.
-        env: help of ``--env``; None: the command has no such option.
+        env: help of ``--env``.
         but: options that the command gives another meaning.
     """
     group = parser.add_argument_group("environment (defaults: the environment's own)")
-    if env is not None:
-        group.add_argument("--env", metavar="ID", help=env)
+    group.add_argument("--env", metavar="ID", help=env)
     for name, meaning in OPTIONS.items():
         if name not in but:
             group.add_argument(f"--{name}", metavar=PLACEHOLDERS.get(name), help=meaning)
