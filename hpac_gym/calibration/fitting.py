@@ -24,7 +24,9 @@ from hpac_gym.model.checks import Array
 from hpac_gym.model.settled import EXTENSION, FLEXION, settled_digit
 
 RADIUS_SPREAD = 1e-3
-"""The same for radius ratios that are known to be the design's: a manufacturing tolerance."""
+"""Standard deviation of the logarithm of a radius ratio that is known to be the design's: a
+manufacturing tolerance.
+"""
 ORDER_SPREAD = 1.0
 """Standard deviation of the logarithm of the frictions, of which only the order of magnitude is
 known.
