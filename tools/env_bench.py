@@ -28,7 +28,9 @@ from hpac_gym.physics.simulation import ENGINES
 WORKER = Path(__file__).with_name("env_bench_worker.py")
 NUM_ENVS = (1, 16, 64)
 STEPS = 40
-"""Steps per round of a single environment; n environments take STEPS / n each, at least 4."""
+"""Steps per round of a single environment, as many as an episode of the grasp task has once the hand
+has closed; n environments take STEPS / n each, at least 4.
+"""
 RESETS = 100
 """Resets of a single environment in each of `env_bench_worker.BLOCKS` blocks; n environments take
 RESETS / n each, at least 6.

@@ -9,6 +9,7 @@ import json
 import os
 import sys
 import warnings
+from collections.abc import Callable
 from functools import partial
 from time import perf_counter, process_time
 from typing import Any
@@ -18,9 +19,18 @@ import numpy as np
 
 WARM_UP_STEPS = 20
 """Steps until the hand has closed on its can; also the warm-up of the peers."""
-HELD_STEPS = 40
-"""Steps after that, until an episode of the grasp task would end."""
 BLOCKS = 5
+
+
+def rates(steps: int, step: Callable[[], None], num_envs: int = 1) -> dict[str, float]:
+    """Steps of so many environments per second of processor time, and per second."""
+    start = process_time()
+    began = perf_counter()
+    for _ in range(steps):
+        step()
+    spent = process_time() - start
+    passed = perf_counter() - began
+    return {"per_cpu_second": num_envs * steps / spent, "per_second": num_envs * steps / passed}
 
 
 class Stopwatch:
@@ -83,27 +93,15 @@ class Hands:
         self.step_of_episode += 1
 
     def measure(self, steps: int) -> dict[str, float]:
-        """Step rates of closed hands, excluding resets and the closing itself."""
-        wall = cpu = inside = 0.0
-        for step in range(steps):
-            if step % HELD_STEPS == 0:
-                self.env.reset(seed=0, options=self.options)
-                self.step_of_episode = 0
-                for _ in range(WARM_UP_STEPS):
-                    self._step()
-            self.physics.inside = 0.0
-            start = process_time()
-            began = perf_counter()
+        """Step rates of closed hands, within one episode: excluding resets and the closing itself."""
+        self.env.reset(seed=0, options=self.options)
+        self.step_of_episode = 0
+        for _ in range(WARM_UP_STEPS):
             self._step()
-            cpu = cpu + process_time() - start
-            wall = wall + perf_counter() - began
-            inside = inside + self.physics.inside
-        env_steps = steps * self.num_envs
-        return {
-            "per_cpu_second": env_steps / cpu,
-            "per_second": env_steps / wall,
-            "outside": 1 - inside / cpu,
-        }
+        self.physics.inside = 0.0
+        found = rates(steps, self._step, self.num_envs)
+        spent = steps * self.num_envs / found["per_cpu_second"]
+        return found | {"outside": 1 - self.physics.inside / spent}
 
     def resets(self, count: int) -> dict[str, float]:
         """CPU time per world of starting a random episode [ms]: least of the medians of `BLOCKS`
@@ -131,36 +129,27 @@ class Peer:
         """Step rates within one episode."""
         shape = self.env.action_space.shape
         self.env.reset(seed=0)
-        actions = self.rng.uniform(-1, 1, (WARM_UP_STEPS + steps, *shape)).astype(np.float32)
-        for action in actions[:WARM_UP_STEPS]:
-            self.env.step(action)
-        start = process_time()
-        began = perf_counter()
-        for action in actions[WARM_UP_STEPS:]:
-            self.env.step(action)
-        spent = process_time() - start
-        passed = perf_counter() - began
-        return {
-            "per_cpu_second": steps / spent,
-            "per_second": steps / passed,
-            "control_hz": self.env.metadata["render_fps"],
-        }
+        actions = iter(self.rng.uniform(-1, 1, (WARM_UP_STEPS + steps, *shape)).astype(np.float32))
+
+        def step() -> None:
+            self.env.step(next(actions))
+
+        for _ in range(WARM_UP_STEPS):
+            step()
+        return rates(steps, step) | {"control_hz": self.env.metadata["render_fps"]}
 
 
 class Arithmetic:
     """Plain arithmetic, which shows how much of a second processor is available."""
 
     def measure(self, steps: int) -> dict[str, float]:
-        """Rates of 1000 × steps multiplications."""
-        start = process_time()
-        began = perf_counter()
+        """Rates of steps of 1000 multiplications."""
+        return rates(steps, self._multiply)
+
+    def _multiply(self) -> None:
         value = 1.0
-        for _ in range(1000 * steps):
+        for _ in range(1000):
             value = value * 1.0000001 + 1e-9
-        return {
-            "per_cpu_second": steps / (process_time() - start),
-            "per_second": steps / (perf_counter() - began),
-        }
 
 
 KINDS = {"hands": Hands, "peer": Peer, "arithmetic": Arithmetic}
