@@ -102,15 +102,6 @@ def close(engine: MuJoCoEngine, steps: int = 24, start: int = 0) -> list[SceneSt
     return states
 
 
-def wait(engine: MuJoCoEngine, seconds: float) -> None:
-    """Leave servos and wrists at zero angle and offset, but the thumb's CMC at its start."""
-    tables = [
-        np.zeros((engine.num_worlds, round(seconds / engine.dt), width)) for width in (6, 6, 3)
-    ]
-    tables[0][:] = servo_from_synergy(OPPOSED)
-    engine.advance(*tables)
-
-
 def bits(states: list[SceneState], world: int) -> bytes:
     return b"".join(
         np.ascontiguousarray(getattr(state, f.name)[world]).tobytes()
@@ -190,13 +181,9 @@ def test_primitives_and_the_objects_of_all_named_grasps_and_variants_stand_on_th
             for grasp, variant in names
         ),
     ]
-    engine = begun("mujoco", *setups).engine
-    steps = 60
-    servo = np.array([servo_from_synergy(setup.synergy) for setup in setups])[:, None].repeat(
-        steps, axis=1
-    )
-    engine.advance(servo, np.zeros_like(servo), np.zeros((len(setups), steps, 3)))
-    state = engine.state()
+    simulation = begun("mujoco", *setups)
+    simulation.rest(0.5)
+    state = simulation.state()
     moved = np.linalg.norm(state.object_pos - [setup.position for setup in setups], axis=1)
     assert moved[:4].max() < 1e-4
     assert not [
@@ -211,10 +198,10 @@ def test_primitives_and_the_objects_of_all_named_grasps_and_variants_stand_on_th
 
 def test_an_object_knows_its_target(begun):
     setup = primitive(target=TARGET)
-    engine = begun("mujoco", replace(setup, position=setup.target)).engine
-    wait(engine, 0.25)
-    assert engine.state().on_target[0]
-    assert engine.state().supported[0]
+    simulation = begun("mujoco", replace(setup, position=setup.target))
+    simulation.rest(0.25)
+    assert simulation.state().on_target[0]
+    assert simulation.state().supported[0]
 
 
 def test_frictions_multiply(begun):
@@ -313,12 +300,12 @@ def test_a_failed_world_is_named_and_back_at_its_start_and_those_beside_it_advan
 
 def test_a_setup_that_is_no_place_is_an_error(begun):
     nowhere = np.array([np.nan, 0.0, 0.0])
-    engine = begun("mujoco", primitive(), primitive(position=nowhere)).engine
+    simulation = begun("mujoco", primitive(), primitive(position=nowhere))
     with pytest.raises(
         PhysicsError,
         match=r"world 1 of 2 failed after 0\.000 s of its episode: MuJoCo says BADQPOS",
     ):
-        wait(engine, 0.05)
+        simulation.rest(0.05)
 
 
 def test_numbers_of_numpy_are_numbers(begun):
