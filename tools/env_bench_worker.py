@@ -83,8 +83,6 @@ class Hands:
         )
         self.opened = np.array([-1, -1, -1, -1, -1, 0.5])
         self.closed = np.array([0.3, 1, 1, 1, 1, 0.5])
-        self.step_of_episode = 0
-        self.env.reset(seed=0)
 
     def _step(self) -> None:
         share = min(self.step_of_episode / 16, 1.0)
