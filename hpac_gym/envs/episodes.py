@@ -116,7 +116,7 @@ class Episodes:
         worlds: Sequence[int],
         generators: Sequence[np.random.Generator],
         given: Sequence[SceneSetup] | None = None,
-    ) -> list[Mapping[str, Array]]:
+    ) -> list[dict[str, list[float]]]:
         """Start episodes in some worlds.
 
         Args:
@@ -138,7 +138,7 @@ class Episodes:
             self.commands.disturb(world, _link_faults(values, setup_rng))
             self._camera.start(world, setup, drawn_value(values, "sensor_noise", 1.0), camera_rng)
             setups.append(setup)
-            drawn.append(values)
+            drawn.append({name: list(value) for name, value in values.items()})
         self._begin(worlds, setups)
         self.outcome[np.asarray(worlds)] = RUNNING
         self.terms = {}

@@ -128,9 +128,7 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         super().reset(seed=seed)
         drawn = self.episodes.reset([0], [self.np_random], given)[0]
         self.episodes.pictures.show()
-        return self._observe(), self._info() | {
-            "randomized": {name: list(value) for name, value in drawn.items()}
-        }
+        return self._observe(), self._info() | {"randomized": drawn}
 
     def step(
         self, action: NDArray[np.float32]

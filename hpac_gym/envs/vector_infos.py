@@ -11,7 +11,6 @@ from hpac_gym.envs.episodes import Episodes, quality
 from hpac_gym.envs.observations import of_world
 from hpac_gym.envs.options import check_number
 from hpac_gym.errors import ParameterError
-from hpac_gym.model.checks import Array
 
 Mask = NDArray[np.bool_]
 Add = Callable[[dict[str, Any], dict[str, Any], int], dict[str, Any]]
@@ -33,7 +32,7 @@ def begin(
     infos: dict[str, Any],
     episodes: Episodes,
     worlds: Sequence[int],
-    drawn: Sequence[Mapping[str, Array]],
+    drawn: Sequence[dict[str, list[float]]],
     add: Add,
 ) -> None:
     """Add the infos of episodes that begin in some worlds, with the values drawn for them."""
@@ -42,8 +41,7 @@ def begin(
     for name, column in masked(episodes.task.report(episodes.now), begun).items():
         infos[name] = np.where(begun, column, infos[name]) if name in infos else column
     terms: dict[str, Any] = {} if episodes.task.goal_terms else {"reward_terms": {}}
-    for world, values in zip(worlds, drawn, strict=True):
-        randomized = {name: list(value) for name, value in values.items()}
+    for world, randomized in zip(worlds, drawn, strict=True):
         add(infos, terms | {"randomized": randomized}, world)
 
 
