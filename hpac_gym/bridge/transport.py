@@ -4,6 +4,7 @@
 A transport also owns the clock, so that a link to a virtual hand runs in virtual time without
 sleeping."""
 
+import re
 import socket
 import time
 from collections.abc import Callable
@@ -21,6 +22,15 @@ _WRITE_TIMEOUT = 1.0
 _MISSED_MAX = 50
 _MISSED_WAIT = 1e-3
 """Reads in a row that may find no bytes though there were some, and the time between them [s]."""
+_ADVICE = {
+    "exclusively lock": "{port} is used by another program; close it (`fuser {port}` names it)",
+    "ermission": "{port}: permission denied; add yourself to the group of the port (Debian: dialout) and log in again",
+    "No such file|FileNotFoundError": "{port}: no such port; `hpac doctor` lists the ones that are there",
+    "Inappropriate ioctl|Is a directory": "{port} is not a serial port; `hpac doctor` lists the ones that are there",
+}
+"""What to do about an error of a port that does not open; on Windows its text tells the kind of the
+system's.
+"""
 
 
 class Transport(Protocol):
@@ -119,15 +129,10 @@ def _gone(what: str, error: Exception) -> str:
 
 
 def _open_advice(port: str, error: Exception) -> str:
+    for what, advice in _ADVICE.items():
+        if re.search(what, repr(error)):
+            return advice.format(port=port)
     text = str(error)
-    if "lock" in text.lower():
-        return f"{port} is used by another program; close it (`fuser {port}` names it)"
-    if "ermission" in text:
-        return f"{port}: permission denied; add yourself to the group of the port (Debian: dialout) and log in again"
-    if isinstance(error, FileNotFoundError) or "No such file" in text:
-        return f"{port}: no such port; `hpac doctor` lists the ones that are there"
-    if "Inappropriate ioctl" in text or "Is a directory" in text:
-        return f"{port} is not a serial port; `hpac doctor` lists the ones that are there"
     if port.startswith("socket://"):
         told = "[Errno" in text or "timed out" in text  # anything else pyserial says of the name
         reason = text.rpartition("] ")[2] if told else "it is not socket://HOST:PORT, at most 65535"

@@ -249,6 +249,7 @@ def test_what_a_socket_has_sent_before_it_goes_is_read_and_then_it_is_a_port_err
     ("name", "says"),
     [
         ("/dev/does_not_exist", ": no such port"),
+        ("/dev/no_clock", ": no such port"),
         ("/dev/null", " is not a serial port"),
         (__file__, " is not a serial port"),
         ("/dev", " is not a serial port"),
@@ -272,6 +273,7 @@ def test_a_wrong_port_is_named_and_says_what_is_wrong(name, says):
         (OSError("[Errno 13] Permission denied"), "dialout"),
         (OSError("No such file or directory: X"), "no such port"),
         (FileNotFoundError("gone"), "no such port"),
+        (OSError("could not open port 'COM9': FileNotFoundError(2, '')"), "no such port"),
         (OSError("Could not configure port: (5, 'Input/output error')"), "opened: unplugged?"),
         (OSError("something else"), "cannot be opened: something else"),
     ],
