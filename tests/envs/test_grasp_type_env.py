@@ -3,6 +3,8 @@ in test_gate.py.
 """
 
 from collections.abc import Callable
+from functools import partial
+from unittest.mock import Mock
 
 import gymnasium
 import numpy as np
@@ -12,6 +14,7 @@ from hpac_gym.envs import GraspTypeSetup
 from hpac_gym.errors import ParameterError
 from hpac_gym.evaluation.evaluate import evaluate
 from hpac_gym.model import HPAC
+from hpac_gym.physics.simulation import ENGINES
 from hpac_gym.policies.policy import EpisodePolicy
 from hpac_gym.tasks.arrival import START, WRIST_CENTRE, WRIST_REACH, WRIST_TURN
 from hpac_gym.tasks.grasp_type_data import GRASP_TYPES, HELD_OUT_TYPES
@@ -21,12 +24,8 @@ from tests.envs.episodes import EASY, run
 from tools.tables import DOCS
 
 ID = "HPAC-GraspType-v0"
+make = partial(gymnasium.make, ID)
 ONE_CLOSURE = "hpac_gym.policies.baselines:one_closure:rod"
-ENGINES = [pytest.param("pybullet", marks=pytest.mark.pybullet), "mujoco"]
-
-
-def make(**options) -> gymnasium.Env:
-    return gymnasium.make(ID, **{"engine": "mujoco"} | options)
 
 
 class Changed(Script):
@@ -204,18 +203,13 @@ def test_an_episode_that_is_given_names_its_type():
 def test_contacts_are_looked_at_often_enough_to_judge_a_hold_and_no_oftener(monkeypatch):
     with make(types="large_cylinder") as env:
         engine = env.unwrapped.episodes.simulation.engine
-        looks = []
-        look = engine.contacts
-        monkeypatch.setattr(
-            engine,
-            "contacts",
-            lambda world: looks.append(world) or look(world),
-        )
+        looks = Mock(wraps=engine.contacts)
+        monkeypatch.setattr(engine, "contacts", looks)
         infos, _ = run(env, env.unwrapped.task.script(), seed=0)
     assert infos[-1]["is_success"]
     times = env.unwrapped.task.timetable.ends
     # The last one is of the grasp's quality.
-    assert len(looks) == (round(20 * (times[3] - times[1])) - 1) // LOOK_EVERY + 3
+    assert looks.call_count == (round(20 * (times[3] - times[1])) - 1) // LOOK_EVERY + 3
 
 
 class Behaviour(EpisodePolicy):
