@@ -42,7 +42,8 @@ class BadTransport(VirtualTransport):
 
     Attributes:
         calls: number of reads and writes so far.
-        dead_out, dead_in: whether this direction has failed.
+        dead: how the link has failed: towards the hand (out), back (in), both, or gone; empty while
+            it works.
         reached_us: time of the last bytes that reached the hand [µs, its clock].
     """
 
@@ -51,7 +52,7 @@ class BadTransport(VirtualTransport):
         self._rng = rng
         self.calls = self.reached_us = 0
         self.loss_out, self.loss_in = rng.choice([0.0, 0.0, 0.1, 0.4], 2).tolist()
-        self.dead_out = self.dead_in = self.gone = False
+        self.dead = ""
         self.dies_at = int(rng.integers(3, 300))
         self.death = str(rng.choice(["", "", "out", "in", "both", "gone"]))
         first = int(rng.integers(0, 250))
@@ -71,10 +72,8 @@ class BadTransport(VirtualTransport):
     def _count(self) -> bool:
         self.calls += 1
         if self.calls == self.dies_at:
-            self.dead_out = self.dead_out or self.death in ("out", "both")
-            self.dead_in = self.dead_in or self.death in ("in", "both")
-            self.gone = self.death == "gone"
-        if self.gone:
+            self.dead = self.death
+        if self.dead == "gone":
             raise PortError("the link has died")
         return self.calls in self.interrupt_at
 
@@ -82,7 +81,7 @@ class BadTransport(VirtualTransport):
         """Write bytes; an interrupt may occur between any two of them."""
         interrupt = self._count()
         passed = data[: self._rng.integers(len(data) + 1)] if interrupt else data
-        arriving = b"" if self.dead_out else self._spoil(passed, self.loss_out)
+        arriving = b"" if self.dead in ("out", "both") else self._spoil(passed, self.loss_out)
         if arriving:
             self.reached_us = self._hand.now_us
             super().write(arriving)
@@ -96,7 +95,7 @@ class BadTransport(VirtualTransport):
         if interrupt:
             self.interrupted += 1
             raise Interrupted
-        return b"" if self.dead_in else self._spoil(data, self.loss_in)
+        return b"" if self.dead in ("in", "both") else self._spoil(data, self.loss_in)
 
 
 @dataclass(slots=True)
@@ -193,7 +192,7 @@ def _one(
     total.unconfirmed += told
     total.swallowed += bad.interrupted > 0 and not isinstance(raised, Interrupted | SystemExit)
     powered = bool(hand.pulses().any())
-    reachable = not (bad.dead_out or bad.gone)
+    reachable = bad.dead not in ("out", "both", "gone")
     total.untold += powered and not told
     total.powered += powered and reachable
     if powered and not reachable:
