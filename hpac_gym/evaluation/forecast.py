@@ -46,12 +46,6 @@ class Forecast:
     interval_95: tuple[float, float]
     """Of the share of successes among the predicted episodes."""
 
-    @classmethod
-    def of_counts(cls, successes: Sequence[int], episodes: int, of: int = OF) -> "Forecast":
-        """The forecast that the virtual hands' successes give."""
-        rate, low, high = predicted_rate(successes, episodes, of)
-        return cls(tuple(successes), episodes, of, rate, (low, high))
-
 
 def forecast(
     hands: Sequence[Hand],
@@ -90,11 +84,12 @@ def forecast(
             hands, range(seed_start, seed_start + len(hands) * episodes, episodes), strict=True
         )
     ]
-    counts = [
+    successes = tuple(
         sum(episode.success for (episode,) in rows)
         for rows in shared(run_block, jobs, workers, "virtual hands")
-    ]
-    return Forecast.of_counts(counts, episodes, of)
+    )
+    rate, *interval = predicted_rate(successes, episodes, of)
+    return Forecast(successes, episodes, of, rate, tuple(interval))
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

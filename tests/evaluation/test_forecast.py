@@ -13,7 +13,7 @@ from hpac import main
 from hpac_gym.calibration.calibrate import named
 from hpac_gym.calibration.identification import identify
 from hpac_gym.calibration.posterior import drawn_hands, draws_of, read_draws, write_draws
-from hpac_gym.evaluation.forecast import Forecast
+from hpac_gym.evaluation.forecast import OF
 from hpac_gym.evaluation.statistics import predicted_rate
 from hpac_gym.model import HPAC, JOINT_INDEX, hand_to_toml, load_hand
 from hpac_gym.model.settled import settled_joints_from_servo
@@ -139,7 +139,7 @@ def test_its_json_has_the_counts_and_the_interval(file, capsys):
     said = json.loads(capsys.readouterr().out)
     assert said["model"] == "nominal"
     assert len(said["successes"]) == 2
-    assert said["interval_95"] == list(Forecast.of_counts(said["successes"], 2).interval_95)
+    assert said["interval_95"] == list(predicted_rate(said["successes"], 2, OF)[1:])
 
 
 def test_a_file_without_a_sweep_and_one_of_another_hand_are_refused(file, tmp_path, capsys):
