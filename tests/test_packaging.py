@@ -17,6 +17,7 @@ from hatchling.builders.sdist import SdistBuilder
 from hpac_gym import __version__
 
 ROOT = Path(__file__).resolve().parents[1]
+PIP = (sys.executable, "-m", "pip", "--disable-pip-version-check", "--quiet")
 
 
 def run(*command, **options) -> str:
@@ -31,9 +32,8 @@ def run(*command, **options) -> str:
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("wheel")
-    pip = (sys.executable, "-m", "pip", "--disable-pip-version-check", "--quiet")
     run(
-        *pip,
+        *PIP,
         "wheel",
         ROOT,
         "--no-deps",
@@ -61,16 +61,7 @@ def clean_python(wheel, tmp_path_factory) -> Path:
             python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))", cwd=folder
         ).strip()
     )
-    pip = (
-        sys.executable,
-        "-m",
-        "pip",
-        "--disable-pip-version-check",
-        "--quiet",
-        "--python",
-        python,
-    )
-    run(*pip, "install", "--no-deps", "--no-index", wheel)
+    run(*PIP, "--python", python, "install", "--no-deps", "--no-index", wheel)
     (site / "dependencies.pth").write_text(sysconfig.get_path("purelib") + "\n")
     return python
 

@@ -166,10 +166,9 @@ def test_known_radii_let_the_elasticity_be_told(nominal_record):
 
 def test_radii_that_are_not_what_was_said_are_told(nominal_record):
     """A PIP ratio that is off by 3 % would need a strain that no tendon has."""
-    off = nominal_record.joint_pos.copy()
-    off[:, JOINT_INDEX["index_pip"]] *= 0.97
+    off = 0.97 * nominal_record.joint_pos[:, JOINT_INDEX["index_pip"]]
     with pytest.raises(IdentificationError, match=r"index: the record contradicts --radii-known"):
-        identify(nominal_record.with_joint_pos(off), radii_known=True)
+        identify(spoiled(nominal_record, index_pip=(slice(None), off)), radii_known=True)
 
 
 @pytest.mark.parametrize("name", HPAC.digits)
@@ -395,9 +394,9 @@ def test_held_out_points_are_no_part_of_the_fit(record):
     """Other measurements at the held-out points leave the file as it is."""
     found = []
     for shifted in (None, 2, 1):
-        other = record.joint_pos.copy()
-        other[(record.phase == 1) & (record.point % 4 == shifted)] += 0.005
-        index = record.with_joint_pos(other)[record.swept == 1]
+        moved = (record.phase == 1) & (record.point % 4 == shifted)
+        other = record.with_joint_pos(record.joint_pos + 0.005 * moved[:, None])
+        index = other[record.swept == 1]
         found.append(values(identify(index, hold_out=True).fits["index"].swept))
     assert found[1] == pytest.approx(found[0], rel=1e-3)
     assert found[2] != pytest.approx(found[0], rel=1e-3)

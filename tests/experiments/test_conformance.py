@@ -16,12 +16,7 @@ from hpac_gym.physics.simulation import SET_UPS, make_engine
 WORLD = WorldSettings()
 
 
-every_number_of_postures = pytest.mark.parametrize(
-    "postures", [3, pytest.param(25, marks=pytest.mark.slow)]
-)
-
-
-@every_number_of_postures
+@pytest.mark.parametrize("postures", [3, pytest.param(25, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(("engine", "body"), [set_up.split("/") for set_up in SET_UPS])
 def test_marks_are_met(engine, body, postures):
     found = figures(partial(make_engine, engine), body, postures=postures)

@@ -2,8 +2,6 @@
 
 import json
 
-import pytest
-
 from experiments.forecast import OUT, SWEEP, WIDTH, summary, table
 from tests.test_docs import text_of
 
@@ -27,12 +25,8 @@ def test_an_interval_counts_if_it_holds_the_truth_and_is_narrow():
     assert "| a | all nominal | 2 of 4 | 2 | 6.0, 6.0 |" in table([sweep, nominal])
 
 
-@pytest.fixture
-def written():
-    return json.loads(text_of(OUT))
-
-
-def test_the_committed_counts_are_those_of_the_rows(written):
+def test_the_committed_counts_are_those_of_the_rows():
+    written = json.loads(text_of(OUT))
     assert written["cells"] == json.loads(
         json.dumps(summary(written["rows"], written["without_a_sweep"]))
     )
