@@ -33,18 +33,22 @@ def test_a_model_that_knows_the_hand_takes_it_where_the_action_says_and_the_nomi
     assert low < np.abs(reached(model=model, randomize=SLACK) - asked).mean() < high
 
 
+def shown(**options) -> tuple[np.ndarray, np.ndarray]:
+    """The servo angles that are commanded after a second of a constant action, and those that a
+    policy sees.
+    """
+    with gymnasium.make("HPAC-Grasp-v0", engine="mujoco", **options) as env:
+        env.reset(seed=1)
+        for _ in range(20):
+            seen, *_ = env.step(np.full(6, -0.2, np.float32))
+        return env.unwrapped.command.servo, seen[env.unwrapped.slices["servo"]]
+
+
 def test_the_nominal_model_is_the_default_whatever_hand_is_simulated():
     heavy = replace(HPAC, cmc_stiffness=1.1 * HPAC.cmc_stiffness)
-    with (
-        gymnasium.make("HPAC-Grasp-v0", engine="mujoco", hand=heavy) as env,
-        gymnasium.make("HPAC-Grasp-v0", engine="mujoco") as nominal,
-    ):
+    with gymnasium.make("HPAC-Grasp-v0", engine="mujoco", hand=heavy) as env:
         assert (env.unwrapped.hand, env.unwrapped.model) == (heavy, HPAC)
-        action = np.full(6, 0.3, np.float32)
-        for either in (env, nominal):
-            either.reset(seed=1)
-            either.step(action)
-        np.testing.assert_array_equal(env.unwrapped.command.servo, nominal.unwrapped.command.servo)
+    np.testing.assert_array_equal(shown(hand=heavy), shown())
 
 
 @pytest.fixture
@@ -59,20 +63,10 @@ def calibrated(tmp_path):
 def test_commands_invert_the_file_and_a_policy_sees_the_same_numbers_as_on_the_nominal_hand(
     calibrated,
 ):
-    action = np.full(6, -0.2, np.float32)
-    with (
-        gymnasium.make("HPAC-Grasp-v0", engine="mujoco", model=calibrated) as env,
-        gymnasium.make("HPAC-Grasp-v0", engine="mujoco") as nominal,
-    ):
-        for either in (env, nominal):
-            either.reset(seed=1)
-            for _ in range(20):
-                seen, *_ = either.step(action)
-        commanded = env.unwrapped.command.servo
-        assert np.abs(commanded - nominal.unwrapped.command.servo).max() > 0.03
-        shown = seen[env.unwrapped.slices["servo"]]
-        other = nominal.unwrapped.episodes.observe()[0][nominal.unwrapped.slices["servo"]]
-        np.testing.assert_allclose(shown, other, atol=5e-3)
+    commanded, seen = shown(model=calibrated)
+    nominal, usual = shown()
+    assert np.abs(commanded - nominal).max() > 0.03
+    np.testing.assert_allclose(seen, usual, atol=5e-3)
 
 
 @pytest.mark.parametrize("name", ["model", "hand"])
