@@ -3,10 +3,10 @@ of docs/wire.md, the enums in Python, and the test vectors, as a CSV file and as
 firmware's tests."""
 
 import re
-import zlib
 from pathlib import Path
 
 from hpac_gym.bridge import protocol
+from hpac_gym.bridge.evidence.codec import seal
 from hpac_gym.bridge.frame import Frame, cobs_decode, cobs_encode, encode
 from hpac_gym.bridge.limits import ServoLimits, limits_hash, servo_limits
 from hpac_gym.bridge.protocol import MESSAGES
@@ -249,10 +249,6 @@ def _example(name: str, hand: Hand) -> Frame:
     )
 
 
-def _sealed(body: bytes) -> bytes:
-    return b"\0" + cobs_encode(body + zlib.crc32(body).to_bytes(4, "little")) + b"\0"
-
-
 def vectors(hand: Hand = HPAC) -> Vectors:
     """The test vectors.
 
@@ -269,17 +265,17 @@ def vectors(hand: Hand = HPAC) -> Vectors:
         ("one bit of the CRC", "crc", wire[:-2] + bytes([wire[-2] ^ 1]) + wire[-1:]),
         ("a run past the end", "cobs", wire[:-4] + wire[-1:]),
         ("too short", "short", b"\0" + cobs_encode(move[:4]) + b"\0"),
-        ("longer than any frame", "overrun", _sealed(move + bytes(range(1, 64)))),
-        ("payload one byte short", "length", _sealed(move[:-1])),
-        ("unknown type", "type", _sealed(bytes([move[0], 0x70]) + move[2:])),
-        ("unknown flag", "flags", _sealed(move[:4] + b"\x80" + move[5:])),
-        ("another session", "session", _sealed(other_session)),
-        ("a MOVE of version 3", "version", _sealed(bytes([3]) + move[1:])),
-        ("HELLO of version 1", "look", _sealed(old_hello)),
+        ("longer than any frame", "overrun", seal(move + bytes(range(1, 64)))),
+        ("payload one byte short", "length", seal(move[:-1])),
+        ("unknown type", "type", seal(bytes([move[0], 0x70]) + move[2:])),
+        ("unknown flag", "flags", seal(move[:4] + b"\x80" + move[5:])),
+        ("another session", "session", seal(other_session)),
+        ("a MOVE of version 3", "version", seal(bytes([3]) + move[1:])),
+        ("HELLO of version 1", "look", seal(old_hello)),
         (
             "ESTOP of version 9 with flags and payload",
             "estop",
-            _sealed(bytes([9, MESSAGES["estop"].code, 7, 0, 0xFF, 1, 2, 0])),
+            seal(bytes([9, MESSAGES["estop"].code, 7, 0, 0xFF, 1, 2, 0])),
         ),
     ]
     return frames + broken
