@@ -5,7 +5,6 @@ One suite for every engine and body. It compares an engine's output (`SceneState
 the model's equations, the tendon law in NumPy and forward kinematics from the geometry; no engine
 is its own reference."""
 
-import importlib.util
 import json
 import sys
 from collections.abc import Callable, Iterator
@@ -33,7 +32,7 @@ from hpac_gym.model.command import minimum_jerk
 from hpac_gym.physics.engine import HAND_POSITION, Engine, SceneSetup
 from hpac_gym.physics.mechanics import mass_matrix
 from hpac_gym.physics.settings import BODIES, HandSettings, WorldSettings
-from hpac_gym.physics.simulation import ENGINES, SET_UPS, Simulation, make_engine
+from hpac_gym.physics.simulation import ENGINES, SET_UPS, Simulation, is_installed, make_engine
 from hpac_gym.physics.tendons import Drive, Tendons, coupling_rows, spring_rows
 
 Factory = Callable[[int, WorldSettings], Engine]
@@ -281,7 +280,7 @@ def main(argv: list[str] | None = None) -> int:
         for engine, body in (set_up.split("/") for set_up in SET_UPS)
         if arguments.engine in (None, engine)
         and arguments.body in (None, body)
-        and importlib.util.find_spec(engine)
+        and is_installed(engine)
     ]
     if not wanted:
         raise ParameterError(

@@ -17,7 +17,6 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-import hpac_gym  # noqa: F401  registers the environments
 from agents.gentle import Hands
 from agents.gentle_rule import CLOSING, MOVES, PER_RADIAN, RULE, STEPS, UNTOLD
 from experiments.results import write_results
