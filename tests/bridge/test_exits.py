@@ -10,7 +10,6 @@ import math
 import os
 import re
 import signal
-import subprocess
 import sys
 import textwrap
 import time
@@ -45,10 +44,9 @@ from hpac_gym.bridge.interrupts import interrupts
 from hpac_gym.model import ServoCommand
 from hpac_gym.virtual.wire import Faults
 from tests.bridge.devices import LOST
-from tests.processes import python, wait_for
+from tests.processes import python, started, wait_for
 from tools.evidence import user_programs
 
-ROOT = Path(__file__).parents[2]
 BRIDGE = str(Path(hpac_gym.bridge.__file__).parent)
 POSE = ServoCommand(np.full(6, 0.4), 0.5)
 
@@ -229,21 +227,15 @@ def session(body):
 
 def run_against(board, program, *signals):
     """A program of its own that arms the hand; gets the signals once it is armed."""
-    process = subprocess.Popen(
-        [sys.executable, "-c", PROGRAM + program, board.port],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-    )
-    assert process.stdout.readline().strip() == "armed"
-    # So that all the signals find it in the session, however busy the machine is.
-    process.send_signal(signal.SIGSTOP)
-    os.waitid(os.P_PID, process.pid, os.WSTOPPED)
-    for number in signals:
-        process.send_signal(number)
-    process.send_signal(signal.SIGCONT)
-    _, complaint = process.communicate(timeout=60)
+    with started("-c", PROGRAM + program, board.port) as process:
+        assert process.stdout.readline().strip() == "armed"
+        # So that all the signals find it in the session, however busy the machine is.
+        process.send_signal(signal.SIGSTOP)
+        os.waitid(os.P_PID, process.pid, os.WSTOPPED)
+        for number in signals:
+            process.send_signal(number)
+        process.send_signal(signal.SIGCONT)
+        _, complaint = process.communicate(timeout=60)
     return process.returncode, complaint
 
 

@@ -118,12 +118,6 @@ def test_splitter_forgets_a_flood_without_zeros():
     assert [frame for _, frame in splitter.push(encode(MOVE))] == [MOVE]
 
 
-def test_splitter_remembers_the_version_that_it_could_not_read():
-    splitter = FrameSplitter()
-    splitter.push(encode(MOVE, version=9))
-    assert splitter.other_version == 9
-
-
 @pytest.mark.parametrize(
     "frame",
     [
