@@ -63,11 +63,6 @@ COLOURS = ("#999999", "#e69f00", "#0072b2", "#56b4e9")
 """Of the models: told apart by colour-blind people too."""
 
 
-def nominal_hand(_: int) -> Hand:
-    """The paper's hand."""
-    return HPAC
-
-
 def workshop_hand(seed: int) -> Hand:
     """A hand with the tolerances of a workshop."""
     rng = np.random.default_rng([SEED, seed])
@@ -88,7 +83,7 @@ def slack_hand(seed: int) -> Hand:
 
 HELD_OUT = [variant for variant in hand_set("test") if (FILES / f"{variant.name}.toml").exists()]
 """The seven held-out hands that can be calibrated."""
-DRAWN = {"nominal hand": nominal_hand, "workshop": workshop_hand, "workshop, slack": slack_hand}
+DRAWN = {"nominal hand": lambda _: HPAC, "workshop": workshop_hand, "workshop, slack": slack_hand}
 POPULATIONS = (*DRAWN, "held-out hands")
 
 
