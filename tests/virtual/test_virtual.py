@@ -4,13 +4,11 @@ import json
 import os
 import re
 import signal
-import socket
-import subprocess
-import sys
 from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from threading import Event
+from unittest.mock import Mock, call
 
 import numpy as np
 import pytest
@@ -26,7 +24,8 @@ from hpac_gym.bridge import (
 )
 from hpac_gym.deploy.commands import object_of
 from hpac_gym.deploy.episode import Log, run_episode
-from hpac_gym.deploy.observer import Observer
+from hpac_gym.deploy.observer import Observer, Pose
+from hpac_gym.deploy.poses import Fixed
 from hpac_gym.evaluation.environment import make_env
 from hpac_gym.model import ServoCommand
 from hpac_gym.output import OutputError
@@ -46,9 +45,10 @@ from hpac_gym.virtual.hand import Tracker, Virtual
 from hpac_gym.virtual.scene import CAN, scene
 from hpac_gym.virtual.wire import BadTransport, Faults, Way
 from tests.options import refused
-from tests.processes import wait_for
+from tests.processes import python, started, wait_for
 
 SEEDS = range(3_000_000, 3_000_006)
+FAULTLESS = Faults()
 
 
 @pytest.fixture(scope="module")
@@ -61,20 +61,9 @@ def env():
 @contextmanager
 def running(*words, **variables):
     """`hpac virtual`, its port and the words of the command that it prints."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "hpac", "virtual", *words],
-        stdout=subprocess.PIPE,
-        text=True,
-        env=os.environ | variables,
-    )
-    try:
-        greeting = process.stdout.readline()
-        process.stdout.readline()
-        yield process, greeting.split()[3].rstrip(";"), process.stdout.readline().split()[1:]
-    finally:
-        process.kill()
-        process.wait()
-        process.stdout.close()
+    with started("-m", "hpac", "virtual", *words, **variables) as process:
+        greeting, _, typed = (process.stdout.readline() for _ in range(3))
+        yield process, greeting.split()[3].rstrip(";"), typed.split()[1:]
 
 
 # --- in real time
@@ -92,28 +81,43 @@ def hand(env, board):
         yield made
 
 
-@pytest.mark.parametrize("outcome", [SUCCESS, RUNNING])
-def test_the_object_is_back_when_the_arm_is_asked_to_be_ready_after_an_episode(hand, outcome):
-    """Also where the hand has kept its power since; during an episode it is not moved."""
+READY = b'{"hpac_arm": 1, "phase": "ready"}'
+
+
+@pytest.fixture
+def program(udp, hand):
+    """The socket of a program that drives the arm of `hand`."""
+    udp.connect(("127.0.0.1", hand.arm_port))
+    return udp
+
+
+@pytest.fixture
+def is_back(hand):
+    """Whether the object is back; it begins 3 cm above its place."""
     start = hand.body.state().object_pos[0].copy()
-    state = hand.body.setup
-    hand.body.place(replace(state, position=state.position + np.array([0.0, 0.0, 0.03])))
-    hand.body.setup = state
+    setup = hand.body.setup
+    hand.body.place(replace(setup, position=setup.position + np.array([0.0, 0.0, 0.03])))
+    hand.body.setup = setup
+    return lambda: np.linalg.norm(hand.body.state().object_pos[0] - start) < 0.01
+
+
+@pytest.mark.parametrize("outcome", [SUCCESS, RUNNING])
+def test_the_object_is_back_when_the_arm_is_asked_to_be_ready_after_an_episode(
+    hand, is_back, program, outcome
+):
+    """Also where the hand has kept its power since; during an episode it is not moved."""
     hand.body.outcome = outcome
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as program:
-        program.sendto(b'{"hpac_arm": 1, "phase": "ready"}', ("127.0.0.1", hand.arm_port))
-        hand.turn()
-    back = np.linalg.norm(hand.body.state().object_pos[0] - start) < 0.01
-    assert back == (outcome == SUCCESS)
+    program.send(READY)
+    hand.turn()
+    assert is_back() == (outcome == SUCCESS)
 
 
-def test_an_episode_begins_after_one_that_was_given_up_before_the_hand_closed(hand, board):
-    program = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    with program, HandLink(board.connect) as link:
+def test_an_episode_begins_after_one_that_was_given_up_before_the_hand_closed(hand, board, program):
+    with HandLink(board.connect) as link:
         for episode in (1, 2):
             link.arm(watchdog=2.0)
             for _ in range(3):
-                program.sendto(b'{"hpac_arm": 1, "phase": "ready"}', ("", hand.arm_port))
+                program.send(READY)
                 hand.turn()
             assert (hand._episodes, hand.body._powered) == (episode, True)
             assert hand._seen_until < np.inf
@@ -131,37 +135,23 @@ def test_a_virtual_hand_whose_board_was_killed_says_so(hand, board):
         hand.turn()
 
 
-class Page:
-    """A page whose sliders rest, and what it has shown."""
-
-    said = ""
-
-    def __init__(self):
-        self.object_back = Event()
-
-    def wanted(self):
-        return np.zeros(6)
-
-    def due(self):
-        return True
-
-    def free(self, free):
-        self.is_free = free
-
-    def show(self, shown):
-        self.said = shown.text
+@pytest.fixture
+def page(hand):
+    """The page of `hand`, whose sliders rest."""
+    hand.page = Mock(object_back=Event())
+    hand.page.wanted.return_value = np.zeros(6)
+    return hand.page
 
 
 def test_the_page_tells_what_came_of_its_red_button_until_a_program_drives_again(
-    hand, board, monkeypatch
+    hand, page, board, monkeypatch
 ):
     monkeypatch.setattr(bridge_stop, "PATIENCE", 0.3)
-    hand.page = Page()
 
     def said():
         for _ in range(3):
             hand.turn()
-        return hand.page.said
+        return page.show.call_args.args[0].text
 
     def drive():
         with HandLink(board.connect) as link:
@@ -176,7 +166,7 @@ def test_the_page_tells_what_came_of_its_red_button_until_a_program_drives_again
     board.process.send_signal(signal.SIGSTOP)
     hand.estop()
     assert said().startswith("Stop NOT CONFIRMED: switch the supply off. no answer to estop")
-    assert hand.page.is_free
+    assert page.free.call_args == call(True)
     board.process.send_signal(signal.SIGCONT)
 
 
@@ -192,28 +182,18 @@ def test_a_page_stops_a_board_that_has_restarted_at_another_port(hand, board):
         os.close(end)
 
 
-def test_the_page_s_button_puts_the_object_back_once(env, hand):
-    hand.page = Page()
-    setup = hand.body.setup
-    hand.body.place(replace(setup, position=setup.position + np.array([0.0, 0.0, 0.03])))
-    hand.body.setup = setup
-    hand.page.object_back.set()
+def test_the_page_s_button_puts_the_object_back_once(hand, page, is_back):
+    page.object_back.set()
     for _ in range(3):
         hand.turn()
-    start = Body(env, 3, setup).state().object_pos[0]
-    assert not hand.page.object_back.is_set()
-    assert np.linalg.norm(hand.body.state().object_pos[0] - start) < 0.01
+    assert not page.object_back.is_set()
+    assert is_back()
 
 
 def test_what_is_typed_against_a_virtual_hand_holds_the_object(tmp_path):
     with running("--object", "cylinder:0.02,0.05") as (process, port, words):
         log = tmp_path / "log.jsonl"
-        done = subprocess.run(
-            [sys.executable, "-m", "hpac", *words, "--log", log, "--hold", "0.2"],
-            capture_output=True,
-            text=True,
-            timeout=60,
-        )
+        done = python("-m", "hpac", *words, "--log", str(log), "--hold", "0.2")
         assert done.returncode == 0, done.stderr
         refused = int(re.search(r"(\d+) refused", done.stdout)[1])
         assert refused <= 8, "of 64, on a busy machine"
@@ -285,33 +265,26 @@ def test_wrong_words_are_one_line(words, says, capsys):
 # --- in lock-step
 
 
-def through(env, faults, seeds=SEEDS, by_table=True, policy=None):
-    """Episodes that succeeded, and the counts of their streams."""
+def worlds(env, **how):
+    """Six worlds, one after the other."""
+    return (LockStep(env, seed, **how) for seed in SEEDS)
+
+
+def through(worlds, faults=FAULTLESS, policy=None, source=None, item=None, **how):
+    """Episodes that succeeded in some worlds, and the counts of their streams."""
     held = 0
     counts = []
-    for seed in seeds:
-        world = LockStep(env, seed, by_table=by_table)
-        observer = Observer(GRASP, world.seen_object)
-        wire = BadTransport(world.hand, np.random.default_rng(seed), Faults())
+    for seed, world in enumerate(worlds, SEEDS[0]):
+        observer = Observer(GRASP, item or world.seen_object)
+        wire = BadTransport(world.hand, np.random.default_rng(seed), FAULTLESS)
 
         def spoil(figures, wire=wire, last=observer.steps - 1):
-            wire.there.faults = wire.back.faults = faults if figures["step"] < last else Faults()
+            wire.there.faults = wire.back.faults = faults if figures["step"] < last else FAULTLESS
 
         with HandLink(lambda wire=wire: wire) as link:
-            chosen = load_policy("grasp", observer) if policy is None else policy
-            counts.append(
-                run_episode(
-                    link,
-                    observer,
-                    chosen,
-                    world,
-                    world,
-                    Log(None),
-                    hold=0.3,
-                    seconds=0.1,
-                    live=spoil,
-                )
-            )
+            given = (policy or load_policy("grasp", observer), source or world, world, Log(None))
+            words = {"hold": 0.3, "seconds": 0.1, "live": spoil} | how
+            counts.append(run_episode(link, observer, *given, **words))
         held += world.body.outcome == SUCCESS
     return held, counts
 
@@ -319,38 +292,36 @@ def through(env, faults, seeds=SEEDS, by_table=True, policy=None):
 @pytest.mark.parametrize(
     ("faults", "at_least"),
     [
-        (Faults(), 5),
+        (FAULTLESS, 5),
         (Faults(loss=0.05), 3),
         (Faults(jitter=0.002, latency=0.016), 4),
         (Faults(damage=0.1), 4),
     ],
 )
 def test_a_grasp_survives_a_bad_wire(env, faults, at_least):
-    held, counts = through(env, faults)
+    held, counts = through(worlds(env), faults)
     assert held >= at_least
     assert sum(count.refused for count in counts) == 0
     spoiled = faults.loss + faults.damage
     assert bool(sum(count.lost for count in counts)) == bool(spoiled)
 
 
-class Open:
-    """A policy that does not close."""
-
-    def reset(self, seed):
-        pass
-
-    def predict(self, observation, state=None, episode_start=None, deterministic=True):
-        return np.array([-1.0, -1, -1, -1, -1, 0.5]), None
+OPEN = Mock(predict=Mock(return_value=(np.array([-1.0, -1, -1, -1, -1, 0.5]), None)))
+"""A policy that does not close."""
+ELSEWHERE = Fixed(Pose(np.array([0.08, -0.06, 0.18])))
 
 
-def test_a_hand_that_does_not_close_holds_nothing(env):
-    """The control of the test above."""
-    held, _ = through(env, Faults(), policy=Open())
-    assert held == 0
+@pytest.mark.parametrize(("wrong", "at_most"), [({"policy": OPEN}, 0), ({"source": ELSEWHERE}, 4)])
+def test_a_hand_that_does_not_close_holds_nothing_and_one_that_sees_it_elsewhere_less(
+    env, wrong, at_most
+):
+    """The controls of the test above."""
+    held, _ = through(worlds(env), **wrong)
+    assert held <= at_most
 
 
 def test_an_arm_that_is_told_carries_as_one_with_a_table(env):
-    held, _ = through(env, Faults(), by_table=False)
+    held, _ = through(worlds(env, by_table=False))
     assert held >= 5
 
 
@@ -374,6 +345,10 @@ def test_five_digits_that_close_together_hold_and_lift_the_can_of_the_default_sc
 class Whole(LockStep):
     """As in real time: the physics runs before the arm is ready, too."""
 
+    def __init__(self, env, seed, setup):
+        super().__init__(env, seed, setup, by_table=False)
+        self.hand.quiet_until_us = 0
+
     def ready(self, wait, told):
         self.body.begin(self.hand.now_us)
 
@@ -384,17 +359,10 @@ class Whole(LockStep):
 
 def test_the_policy_holds_the_can_of_the_default_scene():
     can = object_of(CAN)
-    held = 0
     with make_env(GRASP, engine="mujoco", body="light", object=can) as made:
         setup = scene(made.unwrapped, GRASP, None)
-        for seed in range(3):
-            world = Whole(made.unwrapped, seed, setup, by_table=False)
-            world.hand.quiet_until_us = 0
-            observer = Observer(GRASP, can)
-            policy = load_policy("grasp", observer)
-            with HandLink(world.hand.connect) as link:
-                run_episode(link, observer, policy, world, world, Log(None), seconds=0.3, hold=0.5)
-            held += world.body.outcome == SUCCESS
+        wholes = (Whole(made.unwrapped, seed, setup) for seed in range(3))
+        held, _ = through(wholes, item=can, seconds=0.3, hold=0.5)
     assert held == 3
 
 
@@ -429,8 +397,12 @@ def test_a_disk_that_becomes_full_is_told_with_the_file(tmp_path):
     tracker.close()
 
 
-def test_a_body_lifts_its_wrist_when_it_is_told_and_stands_again_after_the_episode(env):
-    body = Body(env, 0, scene(env, GRASP, None))
+@pytest.fixture
+def body(env):
+    return Body(env, 0, scene(env, GRASP, None))
+
+
+def test_a_body_lifts_its_wrist_when_it_is_told_and_stands_again_after_the_episode(body):
     rest = pulses_from_servo(np.zeros(6))
     body.follow(100_000, rest)
     body.begin(100_000)
@@ -446,8 +418,7 @@ def test_a_body_lifts_its_wrist_when_it_is_told_and_stands_again_after_the_episo
 
 
 @pytest.mark.parametrize("lost", [False, True])
-def test_a_hand_that_is_left_closed_by_a_stop_is_opened_and_its_object_put_back(env, lost):
-    body = Body(env, 0, scene(env, GRASP, None))
+def test_a_hand_that_is_left_closed_by_a_stop_is_opened_and_its_object_put_back(body, lost):
     place = body.setup.position
     closed = pulses_from_servo(np.full(6, 0.8))
     body.begin(0)
@@ -476,8 +447,7 @@ def test_a_hand_whose_object_is_put_back_stays_as_its_servos_have_it(env):
     np.testing.assert_allclose(body.state().horn[0], horn, atol=1e-6)
 
 
-def test_servos_look_at_their_pulses_every_20_ms(env):
-    body = Body(env, 0, scene(env, GRASP, None))
+def test_servos_look_at_their_pulses_every_20_ms(body):
     wide = pulses_from_servo(np.full(6, 0.5))
     body.follow(0, pulses_from_servo(np.zeros(6)))
     body.follow(LATCH_US - 1_000, wide)
@@ -486,8 +456,7 @@ def test_servos_look_at_their_pulses_every_20_ms(env):
     assert 0.05 < body.state().horn[0].max() <= 0.5  # 8 rad/s for 20 ms
 
 
-def test_without_pulses_the_hand_stays_and_the_time_goes_on(env):
-    body = Body(env, 0, scene(env, GRASP, None))
+def test_without_pulses_the_hand_stays_and_the_time_goes_on(body):
     body.follow(0, pulses_from_servo(np.full(6, 0.5)))
     body.follow(300_000, np.zeros(6))
     np.testing.assert_allclose(body.state().horn[0], 0.5, atol=0.01)
@@ -495,26 +464,25 @@ def test_without_pulses_the_hand_stays_and_the_time_goes_on(env):
 
 
 def test_a_quiet_virtual_hand_calls_only_when_it_is_asked_to_and_moves_the_same():
-    calls = []
-    courses = []
-    for quiet in (False, True):
-        hand = VirtualHand()
+    def moved(quiet_us):
+        calls = []
 
-        def note(now_us, pulses, hand=hand, quiet=quiet):
+        def note(now_us, _):
             calls.append(now_us)
-            if quiet:
-                hand.quiet_until_us = now_us + LATCH_US
+            hand.quiet_until_us = now_us + quiet_us
 
+        hand = VirtualHand()
         hand._on_pulses = note
         with HandLink(hand.connect) as link:
             link.arm()
             link.move(ServoCommand(np.full(6, 0.2), 0.5))
             link.wait()
-            courses.append((hand.now_us, *hand.pulses()))
-        calls.append(None)
-    assert courses[0] == courses[1]
-    first = calls.index(None)
-    assert len(calls) - first < first / 10
+            return len(calls), (hand.now_us, *hand.pulses())
+
+    always, end = moved(0)
+    seldom, same_end = moved(LATCH_US)
+    assert end == same_end
+    assert seldom < always / 10
 
 
 def test_what_a_hand_says_unasked_is_as_late_as_its_answers():
@@ -582,14 +550,12 @@ def test_a_wire_loses_damages_and_delays_whole_frames():
     ],
     ids=range(16),
 )
-def test_what_is_no_packet_moves_no_arm(hand, wrong):
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as program:
-        program.connect(("127.0.0.1", hand.arm_port))
-        program.send(b'{"hpac_arm": 1, "phase": "ready"}')
-        program.send(wrong)
-        hand._hear(0)
-        program.settimeout(5)
-        assert json.loads(program.recv(4096)) == {"hpac_arm": 1, "ready": True}
+def test_what_is_no_packet_moves_no_arm(hand, program, wrong):
+    program.send(READY)
+    program.send(wrong)
+    hand._hear(0)
+    program.settimeout(5)
+    assert json.loads(program.recv(4096)) == {"hpac_arm": 1, "ready": True}
     assert hand.body._began_us is None
     assert hand.body._path._told == {}
     hand.turn()
