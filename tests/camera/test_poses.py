@@ -3,6 +3,7 @@ the printed sheet.
 """
 
 import time
+from unittest.mock import Mock
 
 import cv2
 import numpy as np
@@ -19,6 +20,7 @@ from hpac_gym.camera.sheet import HAND, OBJECT
 from hpac_gym.deploy import poses
 from hpac_gym.deploy.commands import object_of
 from hpac_gym.deploy.errors import PoseError
+from tests.camera.test_sheet import frames
 
 CAN = object_of("cylinder:0.02,0.05")
 
@@ -113,48 +115,29 @@ def test_the_lens_may_say_where_the_boards_are():
 # --- the source
 
 
-class Pictures:
-    def __init__(self, *pictures):
-        self._pictures = list(pictures)
-        self.closed = False
-
-    def read(self):
-        return self._pictures.pop(0) if self._pictures else None
-
-    def close(self):
-        self.closed = True
-
-
 def test_a_watch_keeps_the_latest_result_and_says_why_there_is_none():
     picture, position, _ = scene(0)
-    pictures = Pictures(picture, np.zeros_like(picture))
-    source = poses.Tags(pictures, watched.TRUE, watched.TOP)
+    camera = frames([picture, np.zeros_like(picture)])
+    source = poses.Tags(camera, watched.TRUE, watched.TOP)
     source._thread.join(10)
     pose, age = source.latest()
     assert np.linalg.norm(pose.position - position) < 3e-3
     assert age >= 0
     assert source.fault == "the camera gives no more pictures"
     source.close()
-    assert pictures.closed
+    assert camera.close.called
 
 
 def test_pictures_of_another_size_than_the_camera_has_are_told():
-    class Small(Pictures):
-        def read(self):
-            time.sleep(0.02)
-            return np.zeros((480, 640), np.uint8)
-
-    source = poses.Tags(Small(), Lens(), 0.0)
+    camera = Mock(read=lambda: time.sleep(0.02) or np.zeros((480, 640), np.uint8))
+    source = poses.Tags(camera, Lens(), 0.0)
     with pytest.raises(PoseError, match="640×480 pixels, its numbers are for 1280×720"):
         poses.averaged(source, 0.1, 0.5, patience=0.1)
     source.close()
 
 
 def test_a_bug_in_a_look_ends_the_watch_and_is_told():
-    def look(_):
-        raise ZeroDivisionError("a bug")
-
-    watch = Watch(Pictures(np.zeros((2, 2))), look)
+    watch = Watch(frames([np.zeros((2, 2))]), Mock(side_effect=ZeroDivisionError("a bug")))
     watch._thread.join(1)
     assert not watch._thread.is_alive()
     assert "a bug" in watch.fault

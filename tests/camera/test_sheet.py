@@ -3,6 +3,7 @@ checked.
 """
 
 import re
+from unittest.mock import Mock
 
 import cv2
 import numpy as np
@@ -82,51 +83,42 @@ def test_another_kind_of_file_is_one_line(tmp_path, capsys):
 # --- a camera's numbers from the sheet
 
 
-class Turned:
+def turned(count):
     """Rendered pictures of the whole sheet from different sides."""
-
-    def __init__(self, count, focal=930.0, seed=0):
-        self._rng = np.random.default_rng(seed)
-        self._left = count
-        self._focal = focal
-
-    def read(self):
-        if not self._left:
-            return None
-        self._left -= 1
-        rng = self._rng
+    rng = np.random.default_rng(0)
+    sheet = Piece((PAGE[0] / 2, PAGE[1] / 2), *PAGE)
+    for _ in range(count):
         place = np.array([*rng.uniform(-0.25, 0.25, 2), rng.uniform(0.35, 0.45)])
-        camera = Pinhole(
-            place, np.array([*rng.uniform(-0.03, 0.03, 2), 0.0]), np.array([1.0, 0.2, 0])
-        )
-        camera = Pinhole(camera.place, camera.target, camera.up, self._focal)
-        sheet = Piece((PAGE[0] / 2, PAGE[1] / 2), *PAGE)
-        return camera.picture([(sheet, np.zeros(3), np.eye(3)[0], np.eye(3)[1])], rng)
-
-    def close(self):
-        pass
+        target = np.array([*rng.uniform(-0.03, 0.03, 2), 0.0])
+        camera = Pinhole(place, target, np.array([1.0, 0.2, 0]), focal=930.0)
+        yield camera.picture([(sheet, np.zeros(3), np.eye(3)[0], np.eye(3)[1])], rng)
 
 
-def test_pictures_of_the_sheet_give_the_camera(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(commands, "Device", lambda *_: Turned(40))
+def frames(pictures):
+    """A camera that gives some pictures, and then none."""
+    pictures = iter(pictures)
+    return Mock(read=lambda: next(pictures, None))
+
+
+BOARDS = {"hand_board": (0, 0.04, -0.03, 0, 0, 0, 1), "object_board": (0, 0, 0.01, 0, 0, 0, 1)}
+
+
+@pytest.mark.parametrize("boards", [{}, BOARDS], ids=["first", "another"])
+def test_pictures_of_the_sheet_give_the_camera_and_keep_where_its_owner_put_the_boards(
+    tmp_path, capsys, monkeypatch, boards
+):
+    monkeypatch.setattr(commands, "Device", lambda *_: frames(turned(40)))
     path = tmp_path / "camera.json"
+    before = Lens(focal=(500.0, 500.0), **boards)
+    if boards:
+        path.write_text(before.to_json())
     assert hpac.main(["tags", "--calibrate", "0", "--out", str(path)]) == 0
     assert "picture 15 of 15" in capsys.readouterr().err
     lens = load_lens(path)
     assert lens.focal == pytest.approx((930, 930), rel=0.005)
     assert lens.centre == pytest.approx((639.5, 359.5), abs=5)
     assert lens.size == HD
-
-
-def test_another_calibration_keeps_where_the_owner_put_the_boards(tmp_path, monkeypatch):
-    monkeypatch.setattr(commands, "Device", lambda *_: Turned(40))
-    path = tmp_path / "camera.json"
-    boards = {"hand_board": (0, 0.04, -0.03, 0, 0, 0, 1), "object_board": (0, 0, 0.01, 0, 0, 0, 1)}
-    path.write_text(Lens(focal=(500.0, 500.0), **boards).to_json())
-    assert hpac.main(["tags", "--calibrate", "0", "--out", str(path)]) == 0
-    lens = load_lens(path)
-    assert lens.focal == pytest.approx((930, 930), rel=0.005)
-    assert (lens.hand_board, lens.object_board) == tuple(boards.values())
+    assert (lens.hand_board, lens.object_board) == (before.hand_board, before.object_board)
 
 
 def test_a_file_that_is_no_camera_s_is_refused_before_the_camera_is_opened(
@@ -147,23 +139,6 @@ def test_a_calibration_that_cannot_be_written_ends_before_the_camera_is_opened(c
     assert "cannot write to folder" in refused(capsys, lambda: hpac.main(words))
 
 
-class Video:
-    """OpenCV's, of reads that fail or not."""
-
-    def __init__(self, came):
-        self._came = iter(came)
-
-    def isOpened(self):
-        return True
-
-    def set(self, *_):
-        pass
-
-    def read(self):
-        came = next(self._came)
-        return came, np.zeros(HD[::-1]) if came else None
-
-
 @pytest.mark.parametrize(
     ("name", "failed", "goes_on"),
     [("0", READS - 1, True), ("0", READS, False), ("film.avi", 1, False), ("²", 1, False)],
@@ -171,20 +146,18 @@ class Video:
 def test_a_live_camera_may_fail_a_few_times_and_the_end_of_a_video_is_its_end(
     monkeypatch, name, failed, goes_on
 ):
-    monkeypatch.setattr(cv2, "VideoCapture", lambda _: Video([True] + [False] * failed + [True]))
+    came = (True, np.zeros(HD[::-1]))
+    video = Mock()
+    video.read.side_effect = [came, *[(False, None)] * failed, came]
+    monkeypatch.setattr(cv2, "VideoCapture", lambda _: video)
     device = Device(name)
     assert device.read() is not None
     assert (device.read() is not None) == goes_on
 
 
 def test_the_same_picture_again_calibrates_nothing():
-    class Still(Turned):
-        def read(self):
-            self._rng = np.random.default_rng(0)
-            return super().read()
-
     with pytest.raises(CameraError, match="1 different pictures with 12 tags"):
-        commands.calibrated(Still(20))
+        commands.calibrated(frames([*turned(1)] * 20))
 
 
 @pytest.mark.parametrize(
