@@ -13,7 +13,6 @@ from hpac_gym.model import HPAC, Hand
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import SceneSetup, SceneState
 from hpac_gym.settings import settings_from
-from hpac_gym.tasks.cameras import CameraNoise, ObjectCamera
 from hpac_gym.tasks.grasp_data import (
     GRASPS,
     NOMINAL,
@@ -49,6 +48,7 @@ from hpac_gym.tasks.terms import (
 )
 
 CLOSE = PHASES.index("close")
+SHAKE = PHASES.index("shake")
 GRASP_OPTION = Option(
     "a named grasp with its object; None draws a primitive in front of the open hand",
     (None, *GRASPS),
@@ -89,7 +89,6 @@ class Grasp(Task):
     shapes: tuple[str, ...] = SHAPES
     """Shapes of the primitives, equally likely."""
     privileged_terms = PRIVILEGED_TERMS
-    changing = ("grip", "_lifted")
     config_class = GraspConfig
 
     def __init__(
@@ -138,10 +137,6 @@ class Grasp(Task):
             outcome_term(weights),
         )
 
-    def prepare(self, num_worlds: int, noise: CameraNoise) -> ObjectCamera:
-        self._lifted = np.zeros(num_worlds, dtype=bool)
-        return super().prepare(num_worlds, noise)
-
     def setup(self, rng: np.random.Generator, hand: Hand = HPAC) -> SceneSetup:
         """Draw one episode: the object, its place in front of the palm, and the open hand; or those
         of a named grasp.
@@ -177,10 +172,6 @@ class Grasp(Task):
         ]
         return SceneSetup(spec, np.array(place), yaw, open_hand(config.thumb_preshape), hand)
 
-    def start(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
-        super().start(worlds, setups)
-        self._lifted[np.asarray(worlds)] = False
-
     def wrist_path(self, setup: SceneSetup, times: tuple[float, ...]) -> Array:
         return wrist_table(self.timetable, times)
 
@@ -191,9 +182,9 @@ class Grasp(Task):
         not hold it (`Grip`). It succeeds at the end of the timetable if the object was held through
         the shake in six directions and not dropped on the way down."""
         self.grip.follow(state.object_pos, state.touching.any(axis=1), state.supported, dt)
-        lifted = state.time > self._ends[1] - dt / 2
-        self.grip.settle(lifted & ~self._lifted)
-        self._lifted = lifted
+        ran = self.phase(state.time - dt / 2)
+        lifted = self.phase(state.time + dt / 2) >= SHAKE  # of the next step
+        self.grip.settle(lifted & (ran < SHAKE))
         failed = (self.grip.moved > self.config.drop_distance) | (lifted & ~self.grip.holds)
         return judged(failed, state.time >= self.duration - dt / 2)
 

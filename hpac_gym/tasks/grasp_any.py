@@ -33,7 +33,7 @@ from hpac_gym.tasks.grasp_any_setups import (
 )
 from hpac_gym.tasks.grip import Grip, lengths
 from hpac_gym.tasks.options import Option, config_option
-from hpac_gym.tasks.phases import phase_at, wrist_table
+from hpac_gym.tasks.phases import wrist_table
 from hpac_gym.tasks.privileged import PRIVILEGED_TERMS
 from hpac_gym.tasks.scripted import ScriptedGraspAny
 from hpac_gym.tasks.senses import LOAD_TERMS, VIEW_TARGET, Senses, ServoSenses
@@ -112,10 +112,7 @@ class GraspAny(Task):
     """
 
     phases = PHASES
-    changing = (
-        *("grip", "holding_force", "turn", "sides"),
-        *("_closed", "_gained", "_phase", "_grasped"),
-    )
+    changing = ("grip", "holding_force", "turn", "sides", "_closed", "_gained", "_grasped")
     viewpoint = Viewpoint(yaw_deg=120.0)
     sensed_terms: ClassVar = {"load": LOAD_TERMS, "points": ()}
 
@@ -183,7 +180,6 @@ class GraspAny(Task):
         self._pull = np.zeros((num_worlds, 3))
         # The contact score, and the object's displacement as a fraction of `reach`; and their growth.
         self._closed, self._gained = np.zeros((2, 2, num_worlds))
-        self._phase = np.zeros(num_worlds, dtype=int)
         self._grasped = np.zeros((num_worlds, 3, 3))
         self._names = np.full(num_worlds, "", dtype=object)
         self.holding_force = np.zeros(num_worlds)
@@ -219,7 +215,7 @@ class GraspAny(Task):
             for spec in (setup.object for setup in setups)
         ]
         self.holding_force[index] = self.turn[index] = 0.0
-        self._phase[index] = self.sides[index] = 0
+        self.sides[index] = 0
 
     def wrist_path(self, setup: SceneSetup, times: tuple[float, ...]) -> Array:
         table = self.config.timetable
@@ -252,10 +248,9 @@ class GraspAny(Task):
         in which the object is held through the shake succeeds, and ends when the object slips or
         the force ramp ends. Knocking an object over is no failure."""
         grip = self.grip
-        ran = self._phase
+        ran = self.phase(state.time - dt / 2)
         grip.follow(state.object_pos, state.touching.any(axis=1), state.supported, dt)
-        # Phase of the next step.
-        phase = self._phase = phase_at(state.time + dt / 2, self._ends)
+        phase = self.phase(state.time + dt / 2)  # of the next step
         begins = phase != ran
         grip.settle(begins & (phase == SHAKE))
         held = grip.holds
