@@ -53,9 +53,9 @@ class PyBulletEngine(Engine):
         self.dt = settings.dt
         self.every_step = False
         self._force_steps = np.zeros((num_worlds, 0))
-        # Beside an object and above one: for many worlds this would take too much memory.
-        stages = 2 if num_worlds == 1 else 1
-        self.scenes = [Scene(settings, visuals, stages) for _ in range(num_worlds)]
+        self._options = settings, visuals
+        self.scenes = [Scene(*self._options) for _ in range(num_worlds)]
+        self._spare: Scene | None = None
 
     def require(self, settings: HandSettings) -> None:
         """As `Engine.require`; inertia at the servos' hubs is not supported."""
@@ -67,9 +67,19 @@ class PyBulletEngine(Engine):
 
     def reset(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
         for world, setup in zip(worlds, setups, strict=True):
-            self.scenes[world].reset(setup)
+            self._start(world, setup)
         self._force_steps = self._force_steps.copy()  # an earlier state has this array
         self._force_steps[list(worlds)] = 0.0
+
+    def _start(self, world: int, setup: SceneSetup) -> None:
+        """Start an episode. A single world keeps two hands loaded, as beside an object and above one,
+        in a PyBullet world of 34 MB each; for many worlds this would take too much memory.
+        """
+        scene = self.scenes[world]
+        if self.num_worlds == 1 and scene.setup is not None and not scene.fits(setup):
+            self.scenes[0] = self._spare or Scene(*self._options)
+            self._spare = scene
+        self.scenes[world].reset(setup)
 
     def advance(
         self, servo: Array, servo_vel: Array, wrist: Array, push: Array | None = None
@@ -170,10 +180,10 @@ class PyBulletEngine(Engine):
         control step.
         """
         setup, past = snapshot
-        self.scenes[world].reset(setup)
+        self._start(world, setup)
         for tables in past:
             self.scenes[world].advance(*tables)
 
     def close(self) -> None:
-        for scene in self.scenes:
-            scene.close()
+        for scene in filter(None, (*self.scenes, self._spare)):
+            scene.world.close()

@@ -26,8 +26,8 @@ normal into the object, distance, normal force.
 """
 
 
-class Stage:
-    """One PyBullet world with one loaded hand, and its snapshot at rest.
+class Scene:
+    """One world of the engine, reset for every episode.
 
     Loading a hand takes a hundred times as long as restoring a snapshot, so the loaded hand is
     reconfigured. The snapshot is taken after a physics step, without which PyBullet does not replay
@@ -38,67 +38,6 @@ class Stage:
         visuals: load visual shapes.
 
     Attributes:
-        start: what loading determines: armature, orientation, mounting and geometry of the hand;
-            None unless it is ready.
-    """
-
-    def __init__(self, settings: WorldSettings, visuals: bool) -> None:
-        self.world = World(settings, visuals)
-        self.hand: SimHand | None = None
-        self.start: tuple | None = None
-        self._episodes = 0
-
-    def prepare(self, setup: SceneSetup) -> None:
-        """Put the setup's hand at rest into the otherwise empty world. It is loaded again after an
-        interrupt, and every `_EPISODES` episodes, because PyBullet retains memory of every removed
-        body and shape until the world is cleared, and with it up to 0.08 MB of the solver.
-        """
-        hand = setup.hand
-        settings = setup.hand_settings
-        client = self.world.client
-        start = start_of(setup)
-        last = self.start
-        self.start = None  # until the end of this function, if it gets there
-        if start != last or self._episodes == _EPISODES:
-            self.world.clear()
-            _, quaternion, on_wrist, geometry = start
-            self.hand = SimHand(self.world, hand, settings, geometry, on_wrist, quaternion)
-            self._episodes = 0
-            pybullet.stepSimulation(client)
-            self._snapshot = pybullet.saveState(physicsClientId=client)
-        elif self.hand.hand is not hand or self.hand.settings != settings:
-            self.hand.configure(hand, settings)
-        self._episodes += 1
-        for index in reversed(range(pybullet.getNumBodies(client))):
-            body = pybullet.getBodyUniqueId(index, client)
-            if body != self.hand.body:
-                pybullet.removeBody(body, physicsClientId=client)
-        # Drop the cached pairs of nearby links: the solver processes contacts in the order in which
-        # pairs first met.
-        self.hand.collide(False)
-        pybullet.performCollisionDetection(client)
-        self.hand.collide(True)
-        pybullet.restoreState(self._snapshot, physicsClientId=client)
-        self.start = start
-
-
-def start_of(setup: SceneSetup) -> tuple:
-    """What a setup asks of a loaded hand; see `Stage.start`."""
-    on_wrist = setup.object is not None
-    return setup.hand_settings.armature, setup.hand_quaternion, on_wrist, setup.geometry
-
-
-class Scene:
-    """One world of the engine, reset for every episode; a hand that starts otherwise, as in another
-    orientation, may have a `Stage` of its own.
-
-    Args:
-        settings: settings of the world.
-        visuals: load visual shapes.
-        stages: number of loaded hands that are kept, each in a PyBullet world of 34 MB.
-
-    Attributes:
-        world: the PyBullet world of the current episode.
         hand: the simulated hand.
         setup: the setup of the current episode; None before the first one.
         time: time since the episode began [s].
@@ -107,12 +46,13 @@ class Scene:
         target_post: the body at the setup's target; None without one.
     """
 
-    def __init__(self, settings: WorldSettings, visuals: bool, stages: int = 1) -> None:
-        self._options = settings, visuals
-        self._room = stages
-        self._stages: dict[tuple, Stage] = {}
+    def __init__(self, settings: WorldSettings, visuals: bool) -> None:
+        self.world = World(settings, visuals)
         self.setup: SceneSetup | None = None
         self.time = 0.0
+        self._loaded: tuple | None = None
+        """`_loaded_for` of the hand's setup; None unless the hand is ready."""
+        self._episodes = 0
 
     def reset(self, setup: SceneSetup) -> None:
         """Set up an episode. The same setup gives the same trajectory, to the bit, regardless of
@@ -121,10 +61,7 @@ class Scene:
         self.setup = setup
         self.time = 0.0
         self.past: list[tuple[Array | None, ...]] = []
-        stage = self._staged(setup)
-        stage.prepare(setup)
-        self.world = stage.world
-        self.hand = stage.hand
+        self._prepare(setup)
         self.hand.reset(setup.synergy)
         self.object: SimObject | None = None
         self.target_post: int | None = None
@@ -148,16 +85,43 @@ class Scene:
             if box.kind == "target":
                 self.target_post = body
 
-    def _staged(self, setup: SceneSetup) -> Stage:
-        """The stage of a setup: the one whose hand starts so, a new one, or that not used for
-        longest, the first.
+    def fits(self, setup: SceneSetup) -> bool:
+        """Whether the hand that is loaded is one for this setup."""
+        return self._loaded == _loaded_for(setup)
+
+    def _prepare(self, setup: SceneSetup) -> None:
+        """Put the setup's hand at rest into the otherwise empty world. It is loaded again after an
+        interrupt, and every `_EPISODES` episodes, because PyBullet retains memory of every removed
+        body and shape until the world is cleared, and with it up to 0.08 MB of the solver.
         """
-        start = start_of(setup)
-        if start not in self._stages and len(self._stages) < self._room:
-            return self._stages.setdefault(start, Stage(*self._options))
-        oldest = next(iter(self._stages))
-        self._stages[start] = self._stages.pop(start if start in self._stages else oldest)
-        return self._stages[start]
+        hand = setup.hand
+        settings = setup.hand_settings
+        client = self.world.client
+        fits = self.fits(setup)
+        self._loaded = None  # until the end of this function, if it gets there
+        if not fits or self._episodes == _EPISODES:
+            self.world.clear()
+            on_wrist = setup.object is not None
+            self.hand = SimHand(
+                self.world, hand, settings, setup.geometry, on_wrist, setup.hand_quaternion
+            )
+            self._episodes = 0
+            pybullet.stepSimulation(client)
+            self._snapshot = pybullet.saveState(physicsClientId=client)
+        elif self.hand.hand is not hand or self.hand.settings != settings:
+            self.hand.configure(hand, settings)
+        self._episodes += 1
+        for index in reversed(range(pybullet.getNumBodies(client))):
+            body = pybullet.getBodyUniqueId(index, client)
+            if body != self.hand.body:
+                pybullet.removeBody(body, physicsClientId=client)
+        # Drop the cached pairs of nearby links: the solver processes contacts in the order in which
+        # pairs first met.
+        self.hand.collide(False)
+        pybullet.performCollisionDetection(client)
+        self.hand.collide(True)
+        pybullet.restoreState(self._snapshot, physicsClientId=client)
+        self._loaded = _loaded_for(setup)
 
     def advance(
         self,
@@ -204,10 +168,11 @@ class Scene:
             {contact[BODY] for contact in found} - {hand},
         )
 
-    def close(self) -> None:
-        """Disconnect from all worlds. Closing twice is allowed."""
-        for stage in self._stages.values():
-            stage.world.close()
+
+def _loaded_for(setup: SceneSetup) -> tuple:
+    """What loading determines of a setup's hand: armature, orientation, mounting and geometry."""
+    on_wrist = setup.object is not None
+    return setup.hand_settings.armature, setup.hand_quaternion, on_wrist, setup.geometry
 
 
 def matrix(quaternion: tuple[float, ...]) -> Array:
