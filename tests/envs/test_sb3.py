@@ -125,7 +125,13 @@ def test_an_unknown_attribute_ends_no_process_of_pybullet(opened):
     [
         (POSTURE, [{"goal": np.full(15, 0.1 * place)} for place in range(3)]),
         (POSTURE, [{"goal": [0.1 * place] * 15} for place in range(3)]),
-        (GRASP, [{"setup": replace(EASY, yaw=0.1 * place)} for place in range(3)]),
+        (
+            GRASP,
+            [
+                {"setup": replace(EASY, position=EASY.position + 0.005 * place)}
+                for place in range(3)
+            ],
+        ),
     ],
 )
 def test_options_of_each_environment_are_as_in_dummy_vec_env(name, options, pair):
