@@ -1,10 +1,7 @@
 """The page: its solids everywhere, and the page itself in a browser where one is installed."""
 
-import os
 import re
 import signal
-import subprocess
-import sys
 from contextlib import contextmanager
 
 import numpy as np
@@ -19,7 +16,7 @@ from hpac_gym.physics.engine import SceneSetup
 from hpac_gym.view.meshes import hand_meshes, object_meshes, solid
 from hpac_gym.view.page import HandPage, Shown
 from tests.conftest import CHROMIUM
-from tests.processes import wait_for
+from tests.processes import started, wait_for
 
 HALF = (0.02, 0.02, 0.05)
 
@@ -83,15 +80,8 @@ def opened(*words):
     """A command with a page, and its page in a browser; at the end no error was on its console."""
     from playwright.sync_api import sync_playwright
 
-    process = subprocess.Popen(
-        [sys.executable, "-m", "hpac", *words],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env=os.environ | {"BROWSER": "true"},
-    )
     errors = []
-    try:
+    with started("-m", "hpac", *words, BROWSER="true") as process:
         greeting = [process.stdout.readline() for _ in range(3)] if words[0] == "virtual" else []
         address = process.stderr.readline().split()[-1]
         with sync_playwright() as playwright:
@@ -106,10 +96,9 @@ def opened(*words):
             page.set_default_timeout(60_000)
             page.goto(address)
             page.wait_for_selector("[role=slider]", state="attached")
-            yield process, page, greeting
+            yield page, greeting
             browser.close()
         assert errors == []
-    finally:
         process.send_signal(signal.SIGTERM)
         process.communicate(timeout=20)
 
@@ -122,7 +111,7 @@ def joint(page, digit, column=1):
 @pytest.mark.slow
 @pytest.mark.browser
 def test_a_slider_moves_the_hand_and_the_button_opens_it():
-    with opened("play", "--no-browser") as (_, page, _):
+    with opened("play", "--no-browser") as (page, _):
         assert page.locator("[role=slider]:visible").count() == 8
         assert joint(page, "index") < 0.05
         page.locator("[role=slider]").nth(1).press("End")
@@ -139,7 +128,7 @@ def test_a_slider_moves_the_hand_and_the_button_opens_it():
 @pytest.mark.slow
 @pytest.mark.browser
 def test_a_virtual_hand_is_driven_by_its_sliders_or_by_a_program_which_the_page_can_stop():
-    with opened("virtual", "--view", "--no-browser") as (_, page, greeting):
+    with opened("virtual", "--view", "--no-browser") as (page, greeting):
         port = greeting[0].split()[3].rstrip(";")
         page.locator("[role=slider]").nth(2).press("End")
         wait_for(lambda: joint(page, "middle") > 0.5, 60)
@@ -161,7 +150,7 @@ def test_a_virtual_hand_is_driven_by_its_sliders_or_by_a_program_which_the_page_
 @pytest.mark.slow
 @pytest.mark.browser
 def test_a_policy_is_watched_and_the_sliders_follow_it():
-    with opened("show", "--no-browser", "--seed", "3000000") as (_, page, _):
+    with opened("show", "--no-browser", "--seed", "3000000") as (page, _):
         page.get_by_text("seed 300000").wait_for()  # a slow browser comes during a later episode
         wait_for(lambda: joint(page, "index") > 0.5, 60)
         slider = page.locator("[role=slider]").nth(1)
@@ -180,10 +169,10 @@ def test_a_deployment_and_its_log_are_shown(tmp_path):
     log = tmp_path / "log.jsonl"
     grasp = ("grasp", "--object", "cylinder:0.02,0.05", "--pose", "0.05,0.005,0.11")
     words = ("deploy", *grasp, "--port", "host", "--log", str(log), "--hold", "25", "--view")
-    with opened(*words) as (_, page, _):
+    with opened(*words) as (page, _):
         page.get_by_text("armed").wait_for()
         wait_for(lambda: joint(page, "index") > 0.3, 20)
-    with opened("replay", str(log), "--view") as (_, page, _):
+    with opened("replay", str(log), "--view") as (page, _):
         page.get_by_text("s, close").wait_for()
         wait_for(lambda: joint(page, "index") > 0.3, 30)
         assert page.locator("[role=slider]").first.get_attribute("data-disabled") == "true"
