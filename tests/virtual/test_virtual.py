@@ -231,10 +231,9 @@ def test_a_board_that_restarts_when_its_port_is_opened_is_reached_over_a_bad_wir
     with running("--reset-on-open", "--latency", "0.005", "--damage", "0.02") as (_, port, _):
         for _ in range(2):
             with HandLink(port) as link:
-                link.arm()
+                link.arm(watchdog=2.0)
                 link.move(ServoCommand(np.full(6, 0.2), 1.0))
-                link.wait()
-                np.testing.assert_allclose(link.status().servo, 0.2, atol=1e-3)
+                np.testing.assert_allclose(link.wait().servo, 0.2, atol=1e-3)
                 link.clear()
 
 
