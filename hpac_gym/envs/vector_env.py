@@ -115,7 +115,6 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self._seeded = [seeding.np_random() for _ in range(num_envs)]
-        self._steps = np.zeros(num_envs, dtype=int)
         self._over = np.ones(num_envs, dtype=bool)
         self._running = False
 
@@ -161,7 +160,6 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         """Start episodes in some worlds, and add their infos."""
         generators = [self._seeded[world][0] for world in worlds]
         drawn = self.episodes.reset(worlds, generators, given and [given[at] for at in worlds])
-        self._steps[worlds] = 0
         self._over[worlds] = False
         begin(infos, self.episodes, worlds, drawn, self._add_info)
 
@@ -195,9 +193,8 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
             error.add_note(f"in environment {world}")
             raise
         self._running = False  # until the end: an interrupted step may have reset no world yet
-        self._steps += 1
         terminated = episodes.outcome != RUNNING
-        truncated = self._steps >= self._limit
+        truncated = episodes.wrists.step >= self._limit
         for ended in (rewards, terminated, truncated):
             ended[stale] = 0
         self._over = terminated | truncated
