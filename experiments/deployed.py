@@ -180,7 +180,7 @@ def main(argv: list[str] | None = None) -> int:
     parser = command_parser("experiments.deployed", __doc__)
     parser.add_argument(
         "--real-time",
-        type=float,
+        type=whole_number(1),
         metavar="S",
         help="only stream to the firmware as a process for S seconds: jitter and missed deadlines",
     )

@@ -11,6 +11,7 @@ from hpac_gym.model import HPAC, SERVOS, ServoCommand, streamed_servo
 from hpac_gym.output import OutputError
 from hpac_gym.physics.servos import Servos
 from hpac_gym.physics.settings import ServoSettings
+from tests.options import refused
 
 DT = 1 / 120
 PERIOD = 0.05
@@ -120,6 +121,12 @@ def test_results_that_cannot_be_written_are_told_before_hours_of_work(
     out = tmp_path / "file" if experiment is study else tmp_path
     with pytest.raises(OutputError, match=f"'{out}'"):
         experiment.main(["--out", str(out)])
+
+
+@pytest.mark.parametrize("seconds", ["0", "-1", "nan"])
+def test_a_stream_of_no_seconds_is_refused(seconds, capsys):
+    said = refused(capsys, lambda: deployed.main([f"--real-time={seconds}"]))
+    assert f"'{seconds}' is not a whole number of at least 1" in said
 
 
 def test_the_board_row_is_latched(monkeypatch):
