@@ -4,9 +4,12 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import ModuleType
+
+import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -25,14 +28,19 @@ def python(*words: str, folder: Path = ROOT, **variables: str) -> subprocess.Com
 
 
 @contextmanager
-def started(*words: str, **variables: str) -> Iterator[subprocess.Popen[str]]:
-    """A Python process that runs during the block, at whose end it is killed."""
+def started(
+    *words: str, session: bool = False, **variables: str
+) -> Iterator[subprocess.Popen[str]]:
+    """A Python process that runs during the block, at whose end it is killed; in a session of its
+    own, if so, as on a terminal of its own.
+    """
     with subprocess.Popen(
         [sys.executable, *words],
         env=os.environ | {"PYTHONPATH": str(ROOT)} | variables,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
+        start_new_session=session,
     ) as process:
         try:
             yield process
@@ -48,10 +56,10 @@ def wait_for(condition, seconds: float = 120) -> None:
         time.sleep(0.05)
 
 
-def once_alive(function: Callable) -> Callable:
-    """The function, which raises KeyboardInterrupt when it is called again, as if the process were
-    killed there.
-    """
+@contextmanager
+def killed_at_the_second(module: ModuleType, name: str) -> Iterator[None]:
+    """A block that ends with the second call of a function, as if the process were killed there."""
+    function = getattr(module, name)
     called = []
 
     def dying(*given):
@@ -60,4 +68,7 @@ def once_alive(function: Callable) -> Callable:
         called.append(function(*given))
         return called[0]
 
-    return dying
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, name, dying)
+        with pytest.raises(KeyboardInterrupt):
+            yield

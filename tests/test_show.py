@@ -1,7 +1,6 @@
 """`hpac show`: a policy in the browser or in a film."""
 
 import signal
-import subprocess
 import sys
 import time
 import urllib.request
@@ -16,24 +15,17 @@ from hpac_gym import progress
 from hpac_gym.policies.loading import shipped_for
 from hpac_gym.view.page import HandPage
 from tests.options import refused
+from tests.processes import started
 from tests.tiny_task import Tiny
 
 
 def test_a_trained_policy_is_shown_on_a_page():
     words = ["show", "--episodes", "1", "--no-browser", "--seed", "3000000"]
-    running = subprocess.Popen(
-        [sys.executable, "-m", "hpac", *words],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    try:
+    with started("-m", "hpac", *words) as running:
         address = running.stderr.readline().split()[-1]
         with urllib.request.urlopen(address, timeout=30) as page:
             assert b"<html" in page.read()
         said, complaints = running.communicate(timeout=60)
-    finally:
-        running.kill()
     assert (running.returncode, complaints) == (0, "")
     assert said == "grasp on HPAC-Grasp-v0: 1 of 1 succeeded\n"
 
@@ -49,15 +41,11 @@ def test_an_id_is_shown_with_the_policy_that_comes_for_it(capsys, tmp_path):
 
 
 def test_ctrl_c_is_the_end_of_what_has_no_other():
-    words = [sys.executable, "-m", "hpac", "show", "--no-browser"]
-    running = subprocess.Popen(words, stderr=subprocess.PIPE, text=True)
-    try:
+    with started("-m", "hpac", "show", "--no-browser") as running:
         running.stderr.readline()
         time.sleep(1.0)
         running.send_signal(signal.SIGINT)
         _, complaints = running.communicate(timeout=60)
-    finally:
-        running.kill()
     assert (running.returncode, complaints) == (0, "\n")
 
 

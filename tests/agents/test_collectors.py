@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agents import RunError, collectors, runs as runs_of, train
+from agents import RunError, collectors, runs as runs_of
 from agents.learner import Learner
 from agents.recipes import RECIPES, with_settings
 from hpac_gym.evaluation.environment import versions
-from tests.agents.small import words_of
+from tests.agents.small import train_here, words_of
 
 SETTINGS = {
     "num_envs": "2",
@@ -117,10 +117,8 @@ def test_a_run_goes_on_without_a_node_and_is_resumed(cluster, tmp_path, monkeypa
     # before there is a second node: Ray refuses to remove the one that it is connected to
     collectors.connected()
     doomed = cluster.add_node(num_cpus=1)
-    monkeypatch.setattr(train, "_stop_on_signal", lambda progress: {})
     monkeypatch.setattr(collectors, "Collectors", Watched)
-    words = ["--out", f"{tmp_path}", "--nodes", "2"]
-    assert train.main(["grasp", *words, "--episodes", "400", *SMALL]) == 0
+    train_here("grasp", "--out", tmp_path, "--nodes", 2, "--episodes", 400, *SMALL)
     told, said = capsys.readouterr()
     assert "raylet" not in told + said, "Ray's own report of a lost node is fifty lines"
     assert re.search(
@@ -129,7 +127,7 @@ def test_a_run_goes_on_without_a_node_and_is_resumed(cluster, tmp_path, monkeypa
     rows = (tmp_path / "progress.csv").read_text().splitlines()
     assert int(rows[-1].split(",")[0]) == 400 <= sum(watched[0].trials.values())
     assert_no_trial_twice(tmp_path, 400)
-    assert train.main([*words[:2], "--nodes", "1", "--resume", "--episodes", "410"]) == 0
+    train_here("--out", tmp_path, "--nodes", 1, "--resume", "--episodes", 410)
     assert_no_trial_twice(tmp_path, 410)
 
 
@@ -141,9 +139,8 @@ def assert_no_trial_twice(folder, count):
 
 @pytest.mark.slow
 def test_a_collector_that_cannot_start_ends_the_run_in_one_line(cluster, tmp_path, monkeypatch):
-    monkeypatch.setattr(train, "_stop_on_signal", lambda progress: {})
     monkeypatch.setattr(collectors, "versions", lambda: versions() | {"python": "2.7"})
     with pytest.raises(
         RunError, match=r"collector 0 failed: .*the learner has python 2\.7, not \S+ as here"
     ):
-        train.main(["grasp", "--out", f"{tmp_path}", "--nodes", "1", *SMALL])
+        train_here("grasp", "--out", tmp_path, "--nodes", 1, *SMALL)

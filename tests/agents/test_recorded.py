@@ -11,7 +11,7 @@ from agents.recorded import COLUMNS, Recorded
 from agents.trials import Worlds
 from hpac_gym.policies import PolicyFile, read_policy, write_policy
 from tests.agents.small import SMALL, train_here
-from tests.processes import once_alive
+from tests.processes import killed_at_the_second
 
 SET_UPS = {"twin": "mujoco/twin", "both": "mujoco/light,mujoco/twin"}
 TOGETHER = ["grasp", "--set-ups", "mujoco/twin,mujoco/light", *SMALL]
@@ -100,12 +100,8 @@ def test_critics_are_told_the_set_ups_by_the_numbers_of_the_new_run(runs):
 def test_a_killed_and_resumed_run_ends_with_the_same_policy_though_its_checkpoints_hold_no_trials(
     runs, tmp_path
 ):
-    with pytest.MonkeyPatch.context() as dying:
-        dying.setattr(train, "save_checkpoint", once_alive(train.save_checkpoint))
-        with pytest.raises(KeyboardInterrupt):
-            train_here(
-                *TOGETHER, "--trials-of", *(runs / name for name in SET_UPS), "--out", tmp_path
-            )
+    with killed_at_the_second(train, "save_checkpoint"):
+        train_here(*TOGETHER, "--trials-of", *(runs / name for name in SET_UPS), "--out", tmp_path)
     assert 0 < runs_of.saved_trials(tmp_path) < runs_of.saved_trials(runs / "together")
     with np.load(runs_of.latest_checkpoint(tmp_path) / "arrays.npz") as file:
         assert not set(COLUMNS) & set(file)

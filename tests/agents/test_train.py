@@ -9,8 +9,6 @@ import json
 import os
 import re
 import signal
-import subprocess
-import sys
 from pathlib import Path
 from shutil import copytree
 
@@ -26,9 +24,7 @@ from hpac_gym.envs.options import checked_options
 from hpac_gym.evaluation.evaluate import evaluate
 from hpac_gym.policies import read_policy
 from tests.agents.small import SETTINGS, SMALL, train_here
-from tests.processes import once_alive, wait_for
-
-ROOT = Path(__file__).resolve().parents[2]
+from tests.processes import killed_at_the_second, started, wait_for
 
 
 def curve(folder: Path) -> list[int]:
@@ -100,12 +96,10 @@ def test_a_trained_policy_is_judged(trained, recipe, env_id, sizes, options):
 
 @pytest.mark.parametrize("recipe", RUNS)
 def test_a_killed_and_resumed_training_ends_with_the_policy_of_an_uninterrupted_one(
-    recipe, trained, tmp_path, monkeypatch
+    recipe, trained, tmp_path
 ):
-    with monkeypatch.context() as dying:
-        dying.setattr(train, "save_checkpoint", once_alive(train.save_checkpoint))
-        with pytest.raises(KeyboardInterrupt):
-            train_here(*RUNS[recipe], "--out", tmp_path)
+    with killed_at_the_second(train, "save_checkpoint"):
+        train_here(*RUNS[recipe], "--out", tmp_path)
     assert 8 <= runs_of.saved_trials(tmp_path) < 16
     with (tmp_path / "progress.csv").open("a") as file:
         file.write("20,1.0,0.5,20,0.1\n2")  # after the checkpoint
@@ -143,13 +137,10 @@ def test_a_killed_training_goes_on_from_its_last_checkpoint_and_an_interrupted_o
 def ended_at_a_checkpoint(folder: Path, number: signal.Signals, *words) -> tuple[int, list[str]]:
     """Exit status and lines of a training that gets a signal after its next checkpoint."""
     kept = runs_of.latest_checkpoint(folder)
-    command = [sys.executable, "-m", "agents.train", "--out", folder, *words]
-    process = subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True)
-    try:
+    with started("-m", "agents.train", "--out", str(folder), *words) as process:
         wait_for(
             lambda: runs_of.latest_checkpoint(folder) != kept or process.poll() is not None, 600
         )
-    finally:
         process.send_signal(number)
         said = process.communicate()[1]
     return process.returncode, said.splitlines()
@@ -287,7 +278,7 @@ class Patient:
         return np.arange(len(seen)) == len(seen) - 1
 
 
-def started(recipe, seed):
+def started_worlds(recipe, seed):
     made = worlds_of(recipe)
     for worlds in made:
         worlds.start(seed)
@@ -299,7 +290,7 @@ def test_set_ups_share_the_worlds_and_no_two_worlds_a_seed(monkeypatch):
     recipe = with_settings(
         RECIPES["grasp"], {"num_envs": "5", "set_ups": "mujoco/twin,mujoco/twin"}
     )
-    made = started(recipe, 100)
+    made = started_worlds(recipe, 100)
     for worlds in made:
         worlds.step(Patient())
     drawn = [worlds.first_seen for worlds in made]
@@ -315,7 +306,7 @@ def test_set_ups_share_the_worlds_and_no_two_worlds_a_seed(monkeypatch):
 def test_weak_contacts_have_less_friction_of_the_skin_and_none_against_turning():
     drawn = {}
     for contacts in ("usual", "weak"):
-        [worlds] = started(
+        [worlds] = started_worlds(
             with_settings(RECIPES["grasp"], {"num_envs": "8", "contacts": contacts}), 100
         )
         worlds.step(Patient())
@@ -329,7 +320,7 @@ def test_weak_contacts_have_less_friction_of_the_skin_and_none_against_turning()
 
 
 def test_something_runs_beside_each_step_of_the_physics_and_a_trial_tells_how_its_closing_ended():
-    [worlds] = started(with_settings(RECIPES["grasp"], {"num_envs": "2"}), 7)
+    [worlds] = started_worlds(with_settings(RECIPES["grasp"], {"num_envs": "2"}), 7)
     calls = []
     seen, *_, end_state = worlds.step(Patient())
     while not len(seen):
@@ -448,7 +439,7 @@ def test_an_episode_ends_at_the_limit_of_its_id_as_a_failure_and_a_short_trainin
 def test_an_object_of_ones_own_is_what_is_trained_on(tmp_path, monkeypatch):
     words = ["--object", "sphere:0.03", "--set", "config.weights.effort=-0.1", *SMALL]
     recipe = train._fresh_recipe(train.parsed(["grasp", "--out", str(tmp_path), *map(str, words)]))
-    (worlds,) = started(recipe, 100)
+    (worlds,) = started_worlds(recipe, 100)
     worlds.step(Patient())
     assert {setup.object.half_extents for setup in worlds.episodes.setups} == {(0.03,) * 3}
     assert worlds.episodes.task.config.weights.effort == -0.1

@@ -29,7 +29,7 @@ from hpac_gym.policies.policy import EpisodePolicy
 from hpac_gym.registration import GRASP_ANY, GRASP_TYPE, POSTURE
 from hpac_gym.tasks.task import RUNNING, SUCCESS
 from tests.options import called
-from tests.processes import once_alive
+from tests.processes import killed_at_the_second
 
 TINY = "tests.tiny_task:Tiny-v0"
 RESULTS = Path(__file__).parents[2] / "docs" / "results"
@@ -134,12 +134,10 @@ def judged(monkeypatch):
     return cells
 
 
-def test_an_interrupted_call_goes_on_after_its_last_cell(tmp_path, monkeypatch, trained, judged):
+def test_an_interrupted_call_goes_on_after_its_last_cell(tmp_path, trained, judged):
     path = tmp_path / "results.json"
-    with monkeypatch.context() as patch:
-        patch.setattr(benchmark, "judge", once_alive(benchmark.judge))
-        with pytest.raises(KeyboardInterrupt):
-            submit(path, "--budget", "1e5")
+    with killed_at_the_second(benchmark, "judge"):
+        submit(path, "--budget", "1e5")
     assert len(json.loads(path.read_text())["cells"]) == 1
     assert submit(path, "--budget", "1e5") | {"command": None} == trained | {"command": None}
     assert len(judged) == len(set(judged)) == 10

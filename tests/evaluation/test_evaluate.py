@@ -1,8 +1,6 @@
 import json
 import os
 import signal
-import subprocess
-import sys
 import time
 from importlib.util import find_spec
 from pathlib import Path
@@ -21,10 +19,9 @@ from hpac_gym.evaluation.evaluate import BLOCK, evaluate, results, table
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import wilson_interval
 from hpac_gym.policies.loading import load_policy
+from tests.envs.episodes import steps
 from tests.options import called
-from tests.processes import wait_for
-
-ROOT = Path(__file__).resolve().parents[2]
+from tests.processes import ROOT, started, wait_for
 
 
 def main(words):
@@ -45,24 +42,6 @@ def test_episodes_do_not_depend_on_the_number_of_workers():
     )
 
 
-def by_hand(env, policy, seed):
-    """The return of an episode, its steps and its last info, as a user's own loop gets them, with
-    the sum step by step: `sum` rounds otherwise from Python 3.12 on.
-    """
-    seen, _ = env.reset(seed=seed)
-    state = None
-    over = False
-    total = 0.0
-    steps = 0
-    while not over:
-        action, state = policy.predict(seen, state)
-        seen, reward, terminated, truncated, info = env.step(action)
-        total += reward
-        steps += 1
-        over = terminated or truncated
-    return total, steps, info
-
-
 REAL = pytest.param("HPAC-GraspAny-v1", {"objects": "real"}, marks=pytest.mark.slow)
 
 
@@ -77,11 +56,13 @@ def test_an_episode_in_a_batch_is_the_one_that_a_world_alone_has(name, options):
     together = {found.seed: found for found in results(run_episodes(envs, policies, seeds))}
     assert list(together) != seeds or name == "HPAC-Posture-v1", "they end in another order"
     for seed in seeds:
-        assert [together[seed]] == list(results(run_episodes(single(env), policies[:1], [seed])))
-        total, steps, info = by_hand(env, policies[0], seed)
-        assert (together[seed].total_reward, together[seed].steps) == (total, steps)
-        told = (info.get(name) for name in ("is_success", "phase", "holding_force"))
         ours = together[seed]
+        assert [ours] == list(results(run_episodes(single(env), policies[:1], [seed])))
+        script = env.unwrapped.task.script()
+        _, rewards, *_, infos = zip(*steps(env, script, seed=seed), strict=True)
+        # Step by step, since `sum` rounds otherwise from Python 3.12 on.
+        assert (ours.total_reward, ours.steps) == (np.cumsum(rewards)[-1], len(rewards) - 1)
+        told = (infos[-1].get(name) for name in ("is_success", "phase", "holding_force"))
         assert (ours.success, ours.phase, ours.holding_force) == tuple(told)
     assert len({episode.total_reward for episode in together.values()}) == len(seeds)
     env.close()
@@ -143,26 +124,22 @@ def test_a_policy_is_called_as_it_was_given_and_no_phases_are_told_of_a_task_wit
     assert {line.count("|") for line in table_of.splitlines()} == {6}
 
 
+def workers_of(running):
+    """The numbers of two workers and of the tracker of their resources, as soon as they are there."""
+    children = Path(f"/proc/{running.pid}/task/{running.pid}/children")
+    wait_for(lambda: len(children.read_text().split()) >= 3)
+    return children.read_text().split()
+
+
 @pytest.mark.parametrize("seconds", [pytest.param(0.0, marks=pytest.mark.slow), 3.0])
 def test_ctrl_c_on_a_terminal_ends_an_evaluation_at_once(seconds):
     """While the workers start, and while they work."""
     words = ["--policy", "scripted", "--engine", "mujoco", "--episodes", "400", "--workers", "2"]
-    running = subprocess.Popen(
-        [sys.executable, "-m", "hpac", "evaluate", *words],
-        cwd=ROOT,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    )
-    children = Path(f"/proc/{running.pid}/task/{running.pid}/children")
-    try:
-        wait_for(lambda: len(children.read_text().split()) >= 3)
-        workers = children.read_text().split()
+    with started("-m", "hpac", "evaluate", *words, session=True) as running:
+        workers = workers_of(running)
         time.sleep(seconds)
         os.killpg(running.pid, signal.SIGINT)
         _, complaints = running.communicate(timeout=10)
-    finally:
-        running.kill()
     assert (running.returncode, complaints) == (130, "interrupted\n")
     wait_for(lambda: not any(Path(f"/proc/{worker}").exists() for worker in workers), 10)
 
@@ -228,20 +205,9 @@ def test_the_environment_and_its_options_are_those_of_the_first_policy_that_has_
 
 def test_the_workers_of_a_killed_evaluation_end(tmp_path):
     words = ["--policy", "random", "--env", TINY, "--episodes", "100000", "--workers", "2"]
-    command = subprocess.Popen(
-        [sys.executable, "-m", "hpac", "evaluate", *words],
-        cwd=ROOT,
-        stdout=subprocess.DEVNULL,
-    )
-    children = Path(f"/proc/{command.pid}/task/{command.pid}/children")
-    try:
-        # Two workers, and the tracker of their resources.
-        wait_for(lambda: len(children.read_text().split()) >= 3)
-        workers = children.read_text().split()
+    with started("-m", "hpac", "evaluate", *words) as running:
+        workers = workers_of(running)
         time.sleep(0.5)
-    finally:
-        command.kill()
-        command.wait()
     wait_for(lambda: not any(Path(f"/proc/{worker}").exists() for worker in workers))
 
 
