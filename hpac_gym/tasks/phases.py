@@ -5,7 +5,6 @@ from functools import lru_cache, partial
 from math import inf, pi, sin
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hpac_gym.errors import ParameterError
 from hpac_gym.model.checks import Array
@@ -156,15 +155,8 @@ def wrist_table(timetable: Timetable, times: tuple[float, ...]) -> Array:
     return np.array([timetable.wrist_offset(time) for time in times])
 
 
-def phase_at(time: Array, ends: tuple[float, ...]) -> NDArray[np.int_]:
-    """Index of the phase that is running or begins at times [s], given the phases' end times [s];
-    the last phase stays.
-    """
-    return _limits(ends).searchsorted(time)
-
-
 @lru_cache(maxsize=64)
-def _limits(ends: tuple[float, ...]) -> Array:
+def phase_limits(ends: tuple[float, ...]) -> Array:
     """End times of all phases but the last, in ascending order, which rounding may miss by 1e-9
     [s].
     """

@@ -20,7 +20,7 @@ from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import PARTS, Contacts, SceneSetup, SceneState, Viewpoint
 from hpac_gym.tasks.cameras import CameraNoise, MarkerCamera, ObjectCamera
 from hpac_gym.tasks.grip import Grip
-from hpac_gym.tasks.phases import CONTROL_HZ as CONTROL_HZ, phase_at
+from hpac_gym.tasks.phases import CONTROL_HZ as CONTROL_HZ, phase_limits
 from hpac_gym.tasks.scripted import Script, ScriptedClosure
 from hpac_gym.tasks.terms import Moment, RewardTerm, Term
 
@@ -127,7 +127,7 @@ class Task(ABC):
         """Index into `phases` of the phase that is running or begins at times [s], shape (n,); the
         last phase stays.
         """
-        return phase_at(time, self._ends)
+        return phase_limits(self._ends).searchsorted(time)
 
     def chosen(self, setup: SceneSetup, action: Array) -> SceneSetup:
         """The setup of an episode as changed by its first action, shape (6 + len(wrist_actions),),
