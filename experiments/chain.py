@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.held_out import truth as held_out_truth
+from experiments.held_out import truth as held_out_truth, with_zeros
 from experiments.populations import geometry, varied_hand
 from experiments.results import add_workers_and_out, percent, write_results
 from experiments.rig import Rig
@@ -67,18 +67,15 @@ def workshop_hand(seed: int) -> Hand:
     """A hand with the tolerances of a workshop."""
     rng = np.random.default_rng([SEED, seed])
     zero = WORKSHOP_ZERO * rng.standard_normal(len(SERVOS))
-    hand = varied_hand(HPAC, WORKSHOP, rng)
-    return replace(hand, name=f"workshop {seed}", calibration=Calibration(tuple(zero.tolist())))
+    hand = replace(varied_hand(HPAC, WORKSHOP, rng), name=f"workshop {seed}")
+    return with_zeros(hand, zero)
 
 
 def slack_hand(seed: int) -> Hand:
     """A workshop's hand whose driving tendons have slack."""
-    hand = workshop_hand(seed)
+    hand = replace(workshop_hand(seed), name=f"slack {seed}")
     slack = np.random.default_rng([SEED, seed, 1]).uniform(0.0, SLACK, len(hand.digits))
-    hub = [digit.servo_radius for digit in hand.digits.values()]
-    zero = np.array(hand.calibration.servo_zero)
-    zero[:-1] -= slack / hub
-    return replace(hand, name=f"slack {seed}", calibration=Calibration(tuple(zero.tolist())))
+    return with_zeros(hand, hand.calibration.servo_zero, slack)
 
 
 HELD_OUT = [variant for variant in hand_set("test") if (FILES / f"{variant.name}.toml").exists()]

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from experiments.populations import POINTS
 from experiments.rig import Rig
@@ -69,10 +70,17 @@ def truth(variant: HandVariant) -> Hand:
     """The numbers that a perfect calibration would find: slack and, in flexion, the dead band turn
     the horn like a zero.
     """
-    hub = [digit.servo_radius for digit in variant.hand.digits.values()]
     zero = np.array(variant.servo_zero) - HAND.servo.dead_band
-    zero[:-1] -= np.divide(variant.slack, hub)
-    return replace(variant.hand, calibration=replace(Calibration(), servo_zero=tuple(zero)))
+    return with_zeros(variant.hand, zero, variant.slack)
+
+
+def with_zeros(hand: Hand, servo_zero: ArrayLike, slack: ArrayLike = 0.0) -> Hand:
+    """A hand with zeros of its servos, shape (6,) [rad], and slack of its driving tendons, shape (5,)
+    [m], which turns the horn like a zero.
+    """
+    zero = np.array(servo_zero)
+    zero[:-1] -= np.divide(slack, [digit.servo_radius for digit in hand.digits.values()])
+    return replace(hand, calibration=Calibration(tuple(zero.tolist())))
 
 
 def file_error_deg(hand: Hand, variant: HandVariant) -> Array:
