@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hpac_gym.model import HPAC, SERVO_INDEX, action_from_synergy
+from hpac_gym.model import HPAC, action_from_synergy
 from hpac_gym.model.checks import Array
 from hpac_gym.tasks.grasp_data import NamedGrasp
 from hpac_gym.tasks.phases import CONTROL_HZ, PickPlaceTimetable
@@ -177,10 +177,6 @@ class ScriptedPickPlace(Script):
 
 def _action(fingers: Array, thumb: float, opposed: float) -> NDArray[np.float32]:
     """The action for MCP of the fingers, shape (4,), and MP and CMC of the thumb [rad], shape
-    (6,).
+    (6,), in the order of `SERVOS`.
     """
-    synergy = np.zeros(len(SERVO_INDEX))
-    synergy[_FINGERS] = fingers
-    synergy[SERVO_INDEX["thumb_mp"]] = thumb
-    synergy[SERVO_INDEX["thumb_cmc"]] = opposed
-    return action_from_synergy(synergy).astype(np.float32)
+    return action_from_synergy([thumb, *fingers, opposed]).astype(np.float32)
