@@ -8,19 +8,23 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
+from typing import IO
 
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 
 
-def python(*words: str, folder: Path = ROOT, **variables: str) -> subprocess.CompletedProcess[str]:
+def python(
+    *words: str, folder: Path = ROOT, stdout: IO | int = subprocess.PIPE, **variables: str
+) -> subprocess.CompletedProcess[str]:
     """A Python process that has this checkout on its path, after its end."""
     return subprocess.run(
         [sys.executable, *words],
         cwd=folder,
         env=os.environ | {"PYTHONPATH": str(ROOT)} | variables,
-        capture_output=True,
+        stdout=stdout,
+        stderr=subprocess.PIPE,
         text=True,
         timeout=600,
         check=False,

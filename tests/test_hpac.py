@@ -19,22 +19,16 @@ from hpac import COMMANDS, GROUPS, main
 from hpac_gym.command import USAGE_ERROR, run
 from hpac_gym.errors import EXTRA_OF, WorkspaceError
 from tests.options import help_of
+from tests.processes import ROOT, python
 
 POSED = ["--object", "cylinder:0.02,0.05", "--pose", "0.05,0.005,0.11"]
 NAMES = [command.name for command in COMMANDS]
 HEAVY = {"numpy", "scipy", "matplotlib", "gymnasium", "pybullet", "mujoco", "torch"}
-ROOT = Path(__file__).resolve().parents[1]
 FULL = Path("/dev/full")
-HPAC = "import sys, hpac; sys.exit(hpac.main())"
-
-
-def python(script: str, *words: str, **options) -> subprocess.CompletedProcess[str]:
-    streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE} | options
-    return subprocess.run([sys.executable, "-c", script, *words], text=True, timeout=600, **streams)
 
 
 def hpac(*words: str, **options) -> subprocess.CompletedProcess[str]:
-    return python(HPAC, *words, **options)
+    return python("-m", "hpac", *words, **options)
 
 
 LISTS_MODULES = """
@@ -56,12 +50,12 @@ def heavy(done: subprocess.CompletedProcess[str]) -> set[str]:
 
 
 def test_the_list_of_commands_loads_no_heavy_package():
-    assert heavy(python(LISTS_MODULES, "--help", "nonsense")) == set()
+    assert heavy(python("-c", LISTS_MODULES, "--help", "nonsense")) == set()
 
 
 def test_the_help_of_a_command_loads_no_engine_and_no_learner():
     """One after the other in one interpreter: the first one named is to blame."""
-    done = python(LISTS_MODULES, *(f"{name} --help" for name in NAMES))
+    done = python("-c", LISTS_MODULES, *(f"{name} --help" for name in NAMES))
     assert re.findall(r"^usage: hpac (\w+)", done.stdout, re.M) == NAMES
     assert heavy(done) >= {"numpy", "gymnasium"}
     loaded = zip(NAMES, done.stderr.splitlines(), strict=True)
@@ -114,7 +108,7 @@ def test_one_place_says_how_to_install_an_extra():
 def test_a_command_runs_in_a_folder_that_was_deleted(tmp_path):
     script = "import os, sys, hpac\nos.rmdir(os.getcwd())\nsys.exit(hpac.main(['estop', '--help']))"
     (tmp_path / "gone").mkdir()
-    done = python(script, cwd=tmp_path / "gone")
+    done = python("-c", script, folder=tmp_path / "gone")
     assert done.returncode == 0
     assert "usage: hpac estop" in done.stdout
 
@@ -222,8 +216,7 @@ def test_ctrl_c_during_an_import_that_catches_everything_is_not_lost(program, tm
     for package in ("viser", "coacd", "trimesh", "mujoco"):
         (tmp_path / f"{package}.py").write_text(SWALLOWS)
     path = os.pathsep.join((str(tmp_path), str(ROOT)))
-    variables = os.environ | {"PYTHONPATH": path}
-    done = python(f"{program}; print('it goes on')", env=variables)
+    done = python("-c", f"{program}; print('it goes on')", PYTHONPATH=path)
     assert done.stdout == ""
     assert done.stderr.endswith("KeyboardInterrupt\n")
 
@@ -246,18 +239,17 @@ def printing(times: int, flush: bool) -> str:
 
 @pytest.mark.skipif(not FULL.exists(), reason="no device that is always full")
 @pytest.mark.parametrize(
-    ("script", "words", "unbuffered"),
+    ("words", "unbuffered"),
     [
-        (HPAC, ["--help"], "1"),
-        (HPAC, ["--version"], ""),
-        *((printing(times, flush), [], "") for times in (1, 100_000) for flush in (True, False)),
+        (["-m", "hpac", "--help"], "1"),
+        (["-m", "hpac", "--version"], ""),
+        *((["-c", printing(n, flush)], "") for n in (1, 100_000) for flush in (True, False)),
     ],
     ids=["help", "version", "short, flushed", "short", "long, flushed", "long"],
 )
-def test_a_full_standard_output_is_one_line_and_status_2(script, words, unbuffered):
-    variables = os.environ | {"PYTHONUNBUFFERED": unbuffered}
+def test_a_full_standard_output_is_one_line_and_status_2(words, unbuffered):
     with FULL.open("w") as full:
-        done = python(script, *words, stdout=full, env=variables)
+        done = python(*words, stdout=full, PYTHONUNBUFFERED=unbuffered)
     assert (done.returncode, done.stderr) == (
         USAGE_ERROR,
         "error: cannot write to standard output: No space left on device\n",
@@ -265,7 +257,7 @@ def test_a_full_standard_output_is_one_line_and_status_2(script, words, unbuffer
 
 
 def test_a_fault_of_another_file_is_not_taken_for_one_of_standard_output():
-    done = python(SCRIPT.format(words="word", times=1, flush=False, path="/no/such/file"))
+    done = python("-c", SCRIPT.format(words="word", times=1, flush=False, path="/no/such/file"))
     assert done.returncode == 1
     assert "FileNotFoundError" in done.stderr
     assert done.stdout == "word\n"
@@ -273,7 +265,7 @@ def test_a_fault_of_another_file_is_not_taken_for_one_of_standard_output():
 
 @pytest.mark.parametrize("words", [("wiggle", "--help"), ("doctor",)])
 def test_an_output_without_some_signs_is_no_traceback(words):
-    done = hpac(*words, env=os.environ | {"PYTHONIOENCODING": "ascii"})
+    done = hpac(*words, PYTHONIOENCODING="ascii")
     assert "Traceback" not in done.stderr
     assert done.stdout
 
@@ -316,7 +308,7 @@ def test_without_its_packages_a_command_says_what_it_needs():
         "posture all": study,
         "grasps -n 1": grasps,
     }
-    done = python(WITHOUT_PACKAGES, *needs)
+    done = python("-c", WITHOUT_PACKAGES, *needs)
     assert done.stdout.split() == [str(USAGE_ERROR)] * len(needs)
     *told, bug = done.stderr.split("\n", len(needs))
     assert told == [
@@ -377,20 +369,22 @@ for words in sys.argv[2:]:
 
 def test_the_help_of_every_command_needs_no_extra():
     refused = ",".join({*EXTRA_OF, "viser"})
-    done = python(BASE_INSTALL, refused, *(f"{name} --help" for name in NAMES))
+    done = python("-c", BASE_INSTALL, refused, *(f"{name} --help" for name in NAMES))
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
     assert re.findall(r"^status (\w+): (\w+) --help", done.stdout, re.M) == [
         ("0", name) for name in NAMES
     ]
     # The negative control: something of what is refused is needed elsewhere.
-    assert "pip install '.[study]'" in python(BASE_INSTALL, refused, "sweep --record x").stderr
+    assert (
+        "pip install '.[study]'" in python("-c", BASE_INSTALL, refused, "sweep --record x").stderr
+    )
 
 
 @pytest.mark.parametrize("module", ["agents.race", "tools.film_strip"])
 def test_a_module_outside_of_the_wheel_names_its_extra_in_one_line(module):
     script = f"{REFUSING}\nimport runpy; runpy.run_module({module!r}, run_name='__main__')"
-    done = python(script, "torch,PIL,imageio")
+    done = python("-c", script, "torch,PIL,imageio")
     assert done.returncode == 1
     assert re.fullmatch(
         r"error: this command needs more: pip install '\.\[\w+\]' in a checkout of hpac_gym "
