@@ -34,7 +34,7 @@ def scene():
     made = Scene(FREE, False)
     made.reset(SceneSetup(None))
     yield made
-    made.close()
+    made.world.close()
 
 
 @pytest.fixture
