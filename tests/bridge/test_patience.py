@@ -161,6 +161,13 @@ def test_what_is_not_said_has_the_documented_values(link, overheard):
     assert [frame.fields["period_ms"] for _, frame in overheard.of("status")[-2:]] == [0, 50]
 
 
+@pytest.mark.parametrize("action", Action)
+def test_the_hand_is_told_the_safe_action_that_is_chosen(link, overheard, action):
+    link.arm(action)
+    ((_, arm),) = overheard.of("arm")
+    assert arm.fields["action"] == action
+
+
 def test_a_move_waits_for_the_one_before_and_no_longer(link, overheard):
     link.arm()
     for i in range(5):
