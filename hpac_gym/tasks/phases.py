@@ -106,9 +106,9 @@ class PickPlaceTimetable:
         check_bounds(self, "timetable")
 
     @property
-    def durations(self) -> tuple[float, ...]:
-        """Durations of reach, close, lift, carry, lower, release, retreat and rest [s]."""
-        return (
+    def ends(self) -> tuple[float, ...]:
+        """End times of reach, close, lift, carry, lower, release, retreat and rest [s]."""
+        durations = (
             self.reach_time,
             self.close_time,
             self.lift_time,
@@ -118,11 +118,7 @@ class PickPlaceTimetable:
             self.retreat_time,
             self.rest_time,
         )
-
-    @property
-    def ends(self) -> tuple[float, ...]:
-        """End times of `durations` [s]."""
-        return tuple(np.cumsum(self.durations).tolist())
+        return tuple(np.cumsum(durations).tolist())
 
     def wrist_path(self, times: tuple[float, ...], carry: Array) -> Array:
         """Offset of the wrist in the world at times [s], shape (len(times), 3) [m]: one
