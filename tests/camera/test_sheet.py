@@ -97,7 +97,7 @@ def turned(count):
 def frames(pictures):
     """A camera that gives some pictures, and then none."""
     pictures = iter(pictures)
-    return Mock(read=lambda: next(pictures, None))
+    return Mock(spec=Device, read=lambda: next(pictures, None))
 
 
 BOARDS = {"hand_board": (0, 0.04, -0.03, 0, 0, 0, 1), "object_board": (0, 0, 0.01, 0, 0, 0, 1)}

@@ -14,7 +14,7 @@ from contextlib import closing, nullcontext
 from dataclasses import asdict, replace
 from itertools import chain, count, repeat
 from pathlib import Path
-from unittest.mock import Mock
+from unittest.mock import Mock, create_autospec
 
 import gymnasium
 import numpy as np
@@ -42,6 +42,7 @@ from hpac_gym.policies.loading import load_policy
 from hpac_gym.registration import GRASP, GRASP_ANY, GRASP_TYPE
 from hpac_gym.tasks.cameras import CameraNoise
 from hpac_gym.tasks.grasp_type_data import GRASP_TYPES
+from hpac_gym.view.page import HandPage
 from tests.options import refused
 from tests.processes import python, started, wait_for
 
@@ -410,7 +411,7 @@ def test_an_episode_leaves_a_log_and_a_hand_without_pulses(path, capsys):
 
 
 def test_the_page_of_a_deployment_tells_of_a_stop_that_nobody_confirmed(link, monkeypatch):
-    page = Mock()
+    page = create_autospec(HandPage)
     monkeypatch.setattr("hpac_gym.deploy.watching.HandPage", page)
 
     def shown():

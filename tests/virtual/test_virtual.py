@@ -32,6 +32,7 @@ from hpac_gym.output import OutputError
 from hpac_gym.policies.loading import load_policy
 from hpac_gym.registration import GRASP, GRASP_ANY
 from hpac_gym.tasks.task import RUNNING, SUCCESS
+from hpac_gym.view.page import HandPage
 from hpac_gym.virtual.body import (
     KEPT,
     LATCH_US,
@@ -138,7 +139,7 @@ def test_a_virtual_hand_whose_board_was_killed_says_so(hand, board):
 @pytest.fixture
 def page(hand):
     """The page of `hand`, whose sliders rest."""
-    hand.page = Mock(object_back=Event())
+    hand.page = Mock(spec=HandPage, object_back=Event())
     hand.page.wanted.return_value = np.zeros(6)
     return hand.page
 
