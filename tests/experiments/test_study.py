@@ -252,21 +252,17 @@ def test_a_table_shows_every_number_in_its_form_and_keeps_it_whole_for_programs(
     assert second == "| second | 0.00 [0.00, 0.00] | 0% |"
 
 
-@pytest.mark.slow
-def test_the_command_writes_table_and_numbers_of_each_part_that_is_named(tmp_path):
-    words = ["populations", "causes", "--hands", "2", "--quick"]
-    assert study.main([*words, "--out", str(tmp_path)]) == 0
-    written = {path.name for path in tmp_path.iterdir()}
-    assert written == {"populations.md", "populations.json", "causes.md", "causes.json"}
-
-
 @pytest.mark.parametrize("words", [[], ["all"], ["tracking", "causes"]])
-def test_without_a_part_all_are_run(words, tmp_path, monkeypatch):
+def test_each_part_that_is_named_writes_table_and_numbers_and_without_one_all_are_run(
+    words, tmp_path, monkeypatch
+):
     made = []
     parts = {name: lambda _, name=name: made.append(name) or Part(name, {}) for name in study.PARTS}
     monkeypatch.setattr(study, "PARTS", parts)
     assert study.main([*words, "--out", str(tmp_path)]) == 0
     assert made == (words if len(words) == 2 else list(parts))
+    written = {f"{name}.{kind}" for name in made for kind in ("md", "json")}
+    assert {path.name for path in tmp_path.iterdir()} == written
 
 
 @pytest.mark.slow
