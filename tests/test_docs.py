@@ -87,6 +87,10 @@ def links(page: Path) -> list[str]:
     ]
 
 
+LINKED = {(page.parent / link).resolve() for page in PAGES for link in links(page)}
+"""What the pages show or link to."""
+
+
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_every_link_leads_to_a_file_and_a_heading(page):
     for link in links(page):
@@ -107,8 +111,7 @@ def test_every_path_that_a_page_names_is_there(page):
 
 @pytest.mark.parametrize("image", IMAGES, ids=lambda image: image.name)
 def test_every_picture_is_shown(image):
-    shown = {(page.parent / link).resolve() for page in PAGES for link in links(page)}
-    assert image in shown
+    assert image in LINKED
 
 
 # Programs ------------------------------------------------------------------------------------
@@ -322,8 +325,7 @@ def test_a_table_has_its_command_and_is_linked(path):
     for line in table["command"].split("; "):
         if line.startswith("hpac "):
             parse(line)
-    shown = {(page.parent / link).resolve() for page in PAGES for link in links(page)}
-    assert path in shown
+    assert path in LINKED
 
 
 def test_the_glossary_has_the_ten_words():
