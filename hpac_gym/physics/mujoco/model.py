@@ -23,7 +23,7 @@ from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import HAND_POSITION, PARTS, SceneSetup
 from hpac_gym.physics.mjcf import fixed_tendons, hand_mjcf
 from hpac_gym.physics.settings import HandSettings, WorldSettings
-from hpac_gym.physics.supports import COLORS, POST
+from hpac_gym.physics.supports import COLORS, POST, TABLE_HALF_EXTENTS
 
 SLOTS = 8
 """Largest number of contacts per part of the hand whose forces are summed, strongest first."""
@@ -205,7 +205,7 @@ def _add_supports(world: Xml.Element, layout: Layout) -> None:
             "geom",
             {"class": "body"},
             type="box",
-            size="0.02 0.02 0.02",
+            size=exact_text(TABLE_HALF_EXTENTS if kind == "table" else (0.02, 0.02, 0.02)),
             rgba=exact_text(COLORS[kind]),
             priority="2",
         )
