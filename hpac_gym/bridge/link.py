@@ -160,13 +160,19 @@ class HandLink(Line):
             FaultError: A fault latched in the meantime.
             LinkTimeout: The hand still reports motion long after the move's duration.
         """
-        self.sleep(self._connected().busy_until - self._now())
+        connection = self._connected()
+        was_armed = connection.known.state == "armed"
+        self.sleep(connection.busy_until - self._now())
         deadline = self._now() + 1.0
-        while (status := self.status()).moving:
+        while True:
+            status = self.status()
+            if was_armed:
+                connection.raise_unasked("it latched while waiting")
+            if not status.moving:
+                return status
             if self._now() > deadline:
                 raise LinkTimeout("the hand still moves 1 s after the move should have ended")
             self.sleep(1e-3)
-        return status
 
     @turn
     def sleep(self, seconds: float) -> None:

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from hpac_gym.bridge import (
+    Action,
     ClippedWarning,
     FaultError,
     FrameError,
@@ -173,6 +174,16 @@ def test_silence_ends_in_a_latched_fault_that_clear_leaves(virtual_hand, armed):
     armed.arm()
     armed.move(ServoCommand(POSE, 1.0))
     assert armed.wait().counters["watchdog_trips"] == 1
+
+
+def test_a_fault_that_latched_before_the_wait_for_a_move_is_told_by_it(virtual_hand, link):
+    link.arm(Action.hold)
+    link.move(ServoCommand(POSE, 0.5))
+    for _ in range(2):  # the program is busy for longer than the watchdog and the move
+        virtual_hand.run(1.0)
+    with pytest.raises(FaultError, match="watchdog"):
+        link.wait()
+    assert link.wait().state == "fault", "it is told once"
 
 
 @pytest.mark.parametrize(("reset", "fault"), [(Reset.brownout, "brownout"), (Reset.crash, "crash")])
