@@ -88,14 +88,19 @@ def seeds(policies: Iterable[str], judge: Judge) -> Iterator[Row]:
 
 
 def over_runs(cells: Sequence[dict[str, Any]]) -> str:
-    """Median, lowest and interquartile mean of the success of several runs, the mean with its
-    stratified-bootstrap interval, in percent.
-    """
-    rates = np.array([[cell["success_rate"]] for cell in cells])
+    """Median, lowest and interquartile mean of the success of several runs."""
+    rates = np.array([cell["success_rate"] for cell in cells])
     ends = f"median {100 * np.median(rates):.1f}, lowest {100 * rates.min():.1f}"
-    low, high = stratified_bootstrap(interquartile_mean, rates)
-    middle = f"{100 * float(interquartile_mean(rates)):.1f} [{100 * low:.1f}, {100 * high:.1f}]"
-    return f"{len(cells)} runs: {ends}, interquartile mean {middle}"
+    return f"{len(cells)} runs: {ends}, interquartile mean {middle(rates)}"
+
+
+def middle(rates: np.ndarray) -> str:
+    """Interquartile mean of rates, shape (runs,), with its stratified-bootstrap interval, in
+    percent.
+    """
+    table = rates[:, None]
+    low, high = stratified_bootstrap(interquartile_mean, table)
+    return f"{100 * float(interquartile_mean(table)):.1f} [{100 * low:.1f}, {100 * high:.1f}]"
 
 
 def race(runs: Path, learners: Sequence[str], number: int, limit: float) -> Iterator[str]:
