@@ -157,6 +157,10 @@ MISTAKES = [
         f"{BENCHMARK} random --budget 1e5 --out x",
         "contains no {seed}: a trained method needs 5 runs",
     ),
+    (
+        f"{BENCHMARK} random --training-seeds 9 2000000 --out x",
+        "training seeds are 9 to 2000000: they must lie in 0 to 999999, in order",
+    ),
     (f"{BENCHMARK} random", "--out must be given, or --check alone"),
     (f"{BENCHMARK} no/such.hpac --out x", "no policy file 'no/such.hpac'"),
     (

@@ -31,6 +31,7 @@ from hpac_gym.evaluation.results import (
     read,
     summary,
     table,
+    wrong_seeds,
 )
 from hpac_gym.evaluation.seeds import BENCHMARK_SEED, HELD_OUT_SEED
 from hpac_gym.evaluation.splits import (
@@ -60,6 +61,8 @@ def header(args: argparse.Namespace) -> Results:
         raise ResultsError(
             f"policy '{args.policy}' of budget {budget:,} contains no {{seed}}: a trained method needs {RUNS} runs"
         )
+    for fault in wrong_seeds(*args.training_seeds):  # told before the long run
+        raise ResultsError(fault)
     seeds = list(range(RUNS if budget else 1))
     runs = [(_seeded(args.policy, seed), _seeded(args.normalize, seed)) for seed in seeds]
     told = [about(name, statistics) for name, statistics in runs]

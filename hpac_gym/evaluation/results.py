@@ -82,6 +82,12 @@ def _scores(results: Results, splits: Sequence[str] | None = None) -> np.ndarray
     )
 
 
+def wrong_seeds(low: int, high: int) -> Iterator[str]:
+    """What is wrong with the first and the last seed of training episodes."""
+    if not 0 <= low <= high < HELD_OUT_SEED:
+        yield f"training seeds are {low} to {high}: they must lie in 0 to {HELD_OUT_SEED - 1}, in order"
+
+
 def over_budget(results: Results) -> Iterator[str]:
     for file in results["files"]:
         if (steps := file.get("env_steps", 0)) > results["budget"]:
@@ -133,9 +139,7 @@ def _header_faults(results: Results) -> Iterator[str]:
         elif splits[split].get("engine") != "pybullet":
             yield f"split '{split}' is left out: only those of PyBullet may be"
     if budget:
-        low, high = results["training_seeds"]
-        if not 0 <= low <= high < HELD_OUT_SEED:
-            yield f"training seeds are {low} to {high}: they must lie in 0 to {HELD_OUT_SEED - 1}, in order"
+        yield from wrong_seeds(*results["training_seeds"])
     yield from over_budget(results)
     if len({file["sha256"] for file in results["files"]}) != len(results["files"]):
         yield "two runs have the same policy file"
