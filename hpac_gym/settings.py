@@ -37,8 +37,8 @@ def setting(default: Any = MISSING, meaning: str = "", **more: Any) -> Any:
 
 
 def check_bounds(settings: Any, name: str = "") -> None:
-    """Refuse numbers and ranges that leave the `bounds` of their field, and convert ranges to
-    tuples.
+    """Refuse numbers and ranges that leave the `bounds` of their field, convert ranges to tuples,
+    and mappings to the settings that their field has by default.
 
     Args:
         settings: a frozen dataclass whose fields are made by `setting`.
@@ -59,6 +59,11 @@ def check_bounds(settings: Any, name: str = "") -> None:
             raise ParameterError(f"{name} {row.name} = {given!r} {row.told}{form}".lstrip())
         if row.count > 1 and not isinstance(given, tuple):
             object.__setattr__(settings, row.name, tuple(given))
+    for entry in fields(settings):
+        if entry.default_factory is not MISSING and is_dataclass(usual := entry.default_factory()):
+            told = f"{name} {entry.name}".lstrip()
+            value = settings_from(usual, getattr(settings, entry.name), told)
+            object.__setattr__(settings, entry.name, value)
 
 
 def check_choice(name: str, given: Any, known: Collection[Any]) -> None:
@@ -133,6 +138,11 @@ def settings_from(default: Settings, given: Any, name: str) -> Settings:
     if given is None:
         return default
     if isinstance(given, kind):
+        for entry in fields(kind):
+            if "bounds" not in entry.metadata:
+                _value(
+                    getattr(default, entry.name), getattr(given, entry.name), f"{name} {entry.name}"
+                )
         return given
     if not isinstance(given, Mapping):
         raise ParameterError(

@@ -17,7 +17,7 @@ from gymnasium.utils.env_checker import data_equivalence
 from gymnasium.wrappers import TimeAwareObservation
 
 from hpac_gym.body.objects import ObjectSpec
-from hpac_gym.envs import GoalEnv, Grasp, HandEnv, HandVectorEnv, Posture
+from hpac_gym.envs import GoalEnv, Grasp, GraspAnyConfig, HandEnv, HandVectorEnv, Posture
 from hpac_gym.envs.options import COMMON
 from hpac_gym.envs.randomization import Randomization
 from hpac_gym.envs.registered import options_of_id
@@ -27,7 +27,7 @@ from hpac_gym.physics.engine import SceneSetup
 from hpac_gym.physics.settings import WorldSettings
 from hpac_gym.registration import GENTLE, GRASP, GRASP_ANY, GRASP_TYPE, IDS, PICK_PLACE, POSTURE
 from hpac_gym.tasks.cameras import CameraNoise
-from hpac_gym.tasks.grasp import GraspConfig
+from hpac_gym.tasks.grasp_setups import GraspConfig, GraspWeights
 from hpac_gym.tasks.phases import Timetable
 from hpac_gym.tasks.posture import PostureConfig
 from hpac_gym.tasks.terms import GRASP_CENTRE, LENGTH_UNIT
@@ -417,6 +417,11 @@ PRESET = r"randomize must be a preset \(nominal, .*; got "
         ),
         (
             GRASP,
+            {"config": {"weights": GraspWeights(carry=np.nan)}},
+            "config weights carry = nan must be a finite number",
+        ),
+        (
+            GRASP,
             {"config": {"timetable": 2.0}},
             "config timetable 2.0 is neither a Timetable nor a mapping",
         ),
@@ -543,6 +548,14 @@ def test_a_config_is_taken_where_it_says_nothing_of_the_object():
         GRASP, grasp="rod", config={"drop_distance": 0.05, "weights": {"success": 1.0}}
     ).close()
     gymnasium.make(GRASP, object=OWN, config={"gap": [0.0, 0.01]}).close()
+
+
+@pytest.mark.parametrize("kind", [GraspConfig, GraspAnyConfig])
+def test_a_configs_own_settings_may_be_mappings_of_some_of_their_fields(kind):
+    usual = kind()
+    given = kind(timetable={"close_time": 2.0}, weights={"success": 20.0})
+    assert given.timetable == replace(usual.timetable, close_time=2.0)
+    assert given.weights == replace(usual.weights, success=20.0)
 
 
 RANGES = Randomization(servo_lag=(0.0, 0.1), slack=(0.0, 1e-3))
