@@ -20,7 +20,8 @@ import numpy as np
 from agents import POLICY, RecipeError, RunError
 from agents.curves import draw_trials
 from hpac_gym.command import command_parser, minutes, run, whole_number
-from hpac_gym.evaluation.evaluate import DEFAULT_ENV, env_id_of, evaluate
+from hpac_gym.evaluation.evaluate import evaluate
+from hpac_gym.evaluation.options import DEFAULT_ENV, env_id_of
 from hpac_gym.evaluation.statistics import interquartile_mean, rate_text, stratified_bootstrap
 from hpac_gym.output import markdown, writable_file, write_text
 from hpac_gym.physics.simulation import SET_UPS, is_installed

@@ -27,7 +27,7 @@ from hpac_gym.deploy.poses import Source
 from hpac_gym.envs import HandEnv
 from hpac_gym.evaluation.environment import make_env
 from hpac_gym.evaluation.episodes import run_episodes, single
-from hpac_gym.evaluation.evaluate import env_id_of
+from hpac_gym.evaluation.options import env_id_of
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import paired_difference, success_counts
 from hpac_gym.evaluation.workers import shared

@@ -16,7 +16,7 @@ from experiments.results import add_workers_and_out, compared, percent, write_re
 from hpac_gym.bridge import pulses_from_servo, servo_from_pulses
 from hpac_gym.command import command_parser, run, whole_number
 from hpac_gym.evaluation.episodes import run_episodes, worlds
-from hpac_gym.evaluation.evaluate import env_id_of
+from hpac_gym.evaluation.options import env_id_of
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.workers import shared
 from hpac_gym.model.checks import Array

@@ -14,7 +14,7 @@ from typing import Any
 from hpac_gym.command import add_json, say, whole_number
 from hpac_gym.evaluation.environment import make_env
 from hpac_gym.evaluation.episodes import run_episodes, single
-from hpac_gym.evaluation.evaluate import add_policy_and_env, env_of
+from hpac_gym.evaluation.options import add_policy_and_env, env_of
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.output import OutputError, replacing
 from hpac_gym.policies.loading import NAMES, load_policy, shipped_for

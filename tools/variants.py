@@ -20,7 +20,8 @@ from agents.reproduce import middle
 from agents.runs import RUN, recipe_in, saved_trials
 from agents.train import train
 from hpac_gym.command import command_parser, run, whole_number
-from hpac_gym.evaluation.evaluate import DEFAULT_ENV, evaluate
+from hpac_gym.evaluation.evaluate import evaluate
+from hpac_gym.evaluation.options import DEFAULT_ENV
 from hpac_gym.output import markdown, writable_folder
 
 VARIANTS: dict[str, dict[str, Any]] = {

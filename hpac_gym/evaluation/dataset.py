@@ -23,7 +23,7 @@ from hpac_gym.command import add_json, say, whole_number
 from hpac_gym.errors import DatasetError
 from hpac_gym.evaluation.environment import make_env
 from hpac_gym.evaluation.episodes import run_episodes, single
-from hpac_gym.evaluation.evaluate import add_policy_and_env, env_of
+from hpac_gym.evaluation.options import add_policy_and_env, env_of
 from hpac_gym.output import OutputError, writable_folder
 from hpac_gym.policies.loading import NAMES, load_policy
 from hpac_gym.progress import progress

@@ -25,16 +25,15 @@ from hpac_gym.envs import HandEnv
 from hpac_gym.evaluation.blind import scale_of
 from hpac_gym.evaluation.environment import make_env
 from hpac_gym.evaluation.episodes import BATCH, Step, has_batch, run_episodes, worlds
-from hpac_gym.evaluation.options import add_env_options, env_options
+from hpac_gym.evaluation.options import DEFAULT_ENV, add_policy_and_env, env_of
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import paired_difference, success_counts
 from hpac_gym.evaluation.workers import shared
 from hpac_gym.output import OutputError, markdown, writable_file, write_text
 from hpac_gym.policies.baselines import BASELINES
-from hpac_gym.policies.loading import NAMES, NORMALIZE, about, load_policy, needed_options
+from hpac_gym.policies.loading import NAMES, about, load_policy
 from hpac_gym.policies.policy_file import policy_path
 
-DEFAULT_ENV = "hpac_gym:HPAC-Grasp-v0"
 BLOCK = 10  # most episodes per job of a worker, with single worlds; in a batch as many as it has
 LEARNED = "learned"  # name of a policy file in JSON
 NO_PHASE = "unknown"  # name of the phase of failures in a task without phases
@@ -238,22 +237,6 @@ def add_seeds_and_workers(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_policy_and_env(
-    parser: argparse.ArgumentParser, env: str, but: tuple[str, ...] = (), **policy: Any
-) -> None:
-    """The arguments of a command that runs a policy in an environment of its choice, `env_of`.
-
-    Args:
-        parser: the command's.
-        env: help of ``--env``.
-        but: options of the environment that the command gives another meaning.
-        policy: what ``--policy`` is, for the parser.
-    """
-    parser.add_argument("--policy", **policy)
-    parser.add_argument("--normalize", metavar="FILE", help=NORMALIZE)
-    add_env_options(parser, env, but)
-
-
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of `hpac evaluate`."""
     parser.formatter_class = Formatter
@@ -324,27 +307,6 @@ def run(args: argparse.Namespace) -> int:
     if args.out:
         write_text(args.out, text + "\n")
     return 0
-
-
-def env_id_of(policy: str) -> str:
-    """The environment that a policy was made for; `DEFAULT_ENV` for one whose file does not tell.
-
-    Raises:
-        PolicyError: The file is damaged.
-    """
-    return about(policy).get("env_id", DEFAULT_ENV)
-
-
-def env_of(args: argparse.Namespace, policy: str) -> tuple[str, dict[str, Any]]:
-    """The environment that was asked for, or else the policy's own, and its options: those that the
-    policy needs, and those that were given.
-
-    Raises:
-        ParameterError: As in `env_options`.
-        PolicyError: As in `env_id_of`.
-    """
-    env_id = args.env or env_id_of(policy)
-    return env_id, needed_options(policy, env_id) | env_options(args, env_id)
 
 
 def failures_by_phase(episodes: Sequence[Episode]) -> Counter[str]:

@@ -13,12 +13,8 @@ from typing import Any
 from hpac_gym.calibration.posterior import DRAWS, read_draws
 from hpac_gym.command import Formatter, add_json, say, whole_number
 from hpac_gym.evaluation.environment import make_env
-from hpac_gym.evaluation.evaluate import (
-    add_policy_and_env,
-    add_seeds_and_workers,
-    env_of,
-    run_block,
-)
+from hpac_gym.evaluation.evaluate import add_seeds_and_workers, run_block
+from hpac_gym.evaluation.options import add_policy_and_env, env_of
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import predicted_rate
 from hpac_gym.evaluation.workers import shared

@@ -13,8 +13,10 @@ from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.body.own_meshes import MESHES
 from hpac_gym.body.own_objects import MAX_SIDE, MIN_SIDE
 from hpac_gym.errors import ParameterError
+from hpac_gym.policies.loading import NORMALIZE, about, needed_options
 from hpac_gym.registration import GRASP_TYPE
 
+DEFAULT_ENV = "hpac_gym:HPAC-Grasp-v0"
 MASS = 0.1
 FRICTION = 0.8
 """Of an object that is given by its shape (chosen) [kg, 1]."""
@@ -64,6 +66,22 @@ def add_env_options(parser: argparse.ArgumentParser, env: str, but: tuple[str, .
     )
 
 
+def add_policy_and_env(
+    parser: argparse.ArgumentParser, env: str, but: tuple[str, ...] = (), **policy: Any
+) -> None:
+    """The arguments of a command that runs a policy in an environment of its choice, `env_of`.
+
+    Args:
+        parser: the command's.
+        env: help of ``--env``.
+        but: options of the environment that the command gives another meaning.
+        policy: what ``--policy`` is, for the parser.
+    """
+    parser.add_argument("--policy", **policy)
+    parser.add_argument("--normalize", metavar="FILE", help=NORMALIZE)
+    add_env_options(parser, env, but)
+
+
 def env_options(args: argparse.Namespace, env_id: str) -> dict[str, Any]:
     """The options that were given, as `make_env` takes them for an id and a results file tells
     them.
@@ -79,6 +97,27 @@ def env_options(args: argparse.Namespace, env_id: str) -> dict[str, Any]:
     if "object" in found and isinstance(given := object_of(found["object"]), dict):
         found["object"] = given
     return with_set(found, args.set)
+
+
+def env_id_of(policy: str) -> str:
+    """The environment that a policy was made for; `DEFAULT_ENV` for one whose file does not tell.
+
+    Raises:
+        PolicyError: The file is damaged.
+    """
+    return about(policy).get("env_id", DEFAULT_ENV)
+
+
+def env_of(args: argparse.Namespace, policy: str) -> tuple[str, dict[str, Any]]:
+    """The environment that was asked for, or else the policy's own, and its options: those that the
+    policy needs, and those that were given.
+
+    Raises:
+        ParameterError: As in `env_options`.
+        PolicyError: As in `env_id_of`.
+    """
+    env_id = args.env or env_id_of(policy)
+    return env_id, needed_options(policy, env_id) | env_options(args, env_id)
 
 
 def with_set(options: Mapping[str, Any], texts: list[str]) -> dict[str, Any]:
