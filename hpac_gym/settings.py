@@ -59,11 +59,9 @@ def check_bounds(settings: Any, name: str = "") -> None:
             raise ParameterError(f"{name} {row.name} = {given!r} {row.told}{form}".lstrip())
         if row.count > 1 and not isinstance(given, tuple):
             object.__setattr__(settings, row.name, tuple(given))
-    for entry in fields(settings):
-        if entry.default_factory is not MISSING and is_dataclass(usual := entry.default_factory()):
-            told = f"{name} {entry.name}".lstrip()
-            value = settings_from(usual, getattr(settings, entry.name), told)
-            object.__setattr__(settings, entry.name, value)
+    for key, usual in _nested(type(settings)):
+        value = settings_from(usual, getattr(settings, key), f"{name} {key}".lstrip())
+        object.__setattr__(settings, key, value)
 
 
 def check_choice(name: str, given: Any, known: Collection[Any]) -> None:
@@ -119,6 +117,17 @@ def _bounded(kind: type) -> tuple[_Bounded, ...]:
         words = f"{unit.strip()} must be {what} within {begin}{low:g}, {high:g}{end}{unit}".strip()
         rows.append(_Bounded(entry.name, entry.default, lowest, high, count, ordered, words))
     return tuple(rows)
+
+
+@cache
+def _nested(kind: type) -> tuple[tuple[str, Any], ...]:
+    """The fields that are settings themselves, each with its default."""
+    made = {
+        entry.name: entry.default_factory()
+        for entry in fields(kind)
+        if entry.default_factory is not MISSING
+    }
+    return tuple((name, usual) for name, usual in made.items() if is_dataclass(usual))
 
 
 def settings_from(default: Settings, given: Any, name: str) -> Settings:
