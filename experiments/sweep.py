@@ -13,7 +13,7 @@ from hpac_gym.calibration.processing import points, processed
 from hpac_gym.calibration.record import Sweep, write_sweep
 from hpac_gym.command import command_parser, run
 from hpac_gym.figures import label
-from hpac_gym.model import HPAC, JOINT_INDEX, Hand, load_hand
+from hpac_gym.model import JOINT_INDEX, Hand, load_hand
 from hpac_gym.output import markdown, write_text
 
 WORKSPACE_STREAM = 0
@@ -37,7 +37,7 @@ def main(argv: list[str] | None = None) -> int:
     parser = command_parser("experiments.sweep", __doc__)
     of_record.add_common_arguments(parser)
     arguments = parser.parse_args(argv)
-    hand = load_hand(arguments.model) if arguments.model else HPAC
+    hand = load_hand(arguments.model)
     out = arguments.out
     reference = Reference.of()
     record = simulate(reference, EVALUATION_STREAM, "evaluation sweep")

@@ -55,7 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command: list, show, draw or send postures."""
-    hand = load_hand(arguments.model) if arguments.model else HPAC
+    hand = load_hand(arguments.model)
     everything = arguments.name in ("list", "all")
     if everything and arguments.port:
         raise ParameterError(f"--port takes one posture, not '{arguments.name}'")

@@ -131,6 +131,8 @@ MISTAKES = [
     ("hpac evaluate --policy scripted --object cylinder:nan,0.1", "cylinder:radius"),
     (f"{EVALUATE} --env Nothing-v3", "no environment 'Nothing-v3'"),
     (f"{EVALUATE} --env nothing_here:Nothing-v3", "no environment 'nothing_here:Nothing-v3'"),
+    (f"{EVALUATE} --env :", "no environment ':': an id is name-v0 or module:name-v0"),
+    (f"{EVALUATE} --env a:b:c", "no environment 'a:b:c': an id is name-v0"),
     (f"{EVALUATE} --episodes 0", "'0' is not a whole number of at least 1"),
     (
         f"{EVALUATE} --seed-start 9223372036854775808",

@@ -97,10 +97,6 @@ def _linked(port: str, hand: Hand) -> Iterator[HandLink]:
         yield stack.enter_context(HandLink(connector(port, stack, hand), hand=hand))
 
 
-def _hand(options: argparse.Namespace) -> Hand:
-    return load_hand(options.hand) if options.hand else HPAC
-
-
 def _print_json(rows: Sequence[object], *names: str) -> None:
     """Print rows as a JSON list of objects with the named attributes."""
     print(
@@ -114,7 +110,7 @@ def _print_json(rows: Sequence[object], *names: str) -> None:
 
 def _conform(options: argparse.Namespace) -> int:
     with ExitStack() as stack:
-        hand = _hand(options)
+        hand = load_hand(options.hand)
         rows = conform(open_transport(connector(options.port, stack, hand)), hand)
         return verdict(rows, options.json, "rule", "tried", "holds", "failure")
 
@@ -139,7 +135,7 @@ def verdict(rows: Iterable[Row], as_json: bool, *names: str) -> int:
 
 
 def _wiggle(options: argparse.Namespace) -> int:
-    hand = _hand(options)
+    hand = load_hand(options.hand)
     rest = np.clip(0.0, hand.servo_min, hand.servo_max)
     room = min(hand.servo_max - rest)
     if not 0 < options.angle <= room:
@@ -164,7 +160,7 @@ def _wiggle(options: argparse.Namespace) -> int:
 
 
 def _clear(options: argparse.Namespace) -> int:
-    with _linked(options.port, _hand(options)) as link:
+    with _linked(options.port, load_hand(options.hand)) as link:
         fault = link.last_status.fault if link.last_status else "none"
         link.clear()
         status = link.status()
@@ -180,7 +176,7 @@ def _clear(options: argparse.Namespace) -> int:
 
 
 def _doctor(options: argparse.Namespace) -> int:
-    hand = _hand(options)
+    hand = load_hand(options.hand)
     ports = find_ports() if options.port is None else [options.port]
     with ExitStack() as stack:
         findings = [diagnose(port, connector(port, stack, hand), hand) for port in ports]

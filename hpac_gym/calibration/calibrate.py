@@ -18,7 +18,7 @@ from hpac_gym.calibration.record import RecordError, read_sweep
 from hpac_gym.calibration.report import fit_figure, report, summary
 from hpac_gym.calibration.samples import HELD_OUT_EVERY
 from hpac_gym.figures import require, save
-from hpac_gym.model import HPAC, Hand, hand_to_toml, load_hand
+from hpac_gym.model import Hand, hand_to_toml, load_hand
 from hpac_gym.model.files import hand_from_toml
 from hpac_gym.output import OutputError, writable_file, writable_folder, write_text
 
@@ -83,7 +83,7 @@ def run(arguments: argparse.Namespace) -> int:
     for path in (arguments.record, arguments.check, arguments.base):
         if path and path.resolve() == arguments.out.resolve():
             raise OutputError(f"--out {arguments.out} would replace a file that is read")
-    base = load_hand(arguments.base) if arguments.base else HPAC
+    base = load_hand(arguments.base)
     record = read_sweep(arguments.record)
     remarks = judged(record, base, f"sweep {arguments.record}")
     second = None

@@ -24,7 +24,7 @@ from hpac_gym.calibration.processing import points, processed
 from hpac_gym.calibration.record import RecordError, Sweep, read_sweep
 from hpac_gym.command import whole_number
 from hpac_gym.figures import label, require, save
-from hpac_gym.model import HPAC, SERVOS, Hand, load_hand
+from hpac_gym.model import SERVOS, Hand, load_hand
 from hpac_gym.output import markdown, write_text
 
 
@@ -82,7 +82,7 @@ def add_common_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Sweep a hand or read a record, evaluate it, write figures and tables."""
     require()
-    hand = load_hand(arguments.model) if arguments.model else HPAC
+    hand = load_hand(arguments.model)
     path = arguments.record
     if path is None:
         from hpac_gym.calibration import driven  # takes a second to load

@@ -32,7 +32,7 @@ from hpac_gym.deploy.errors import DeployError
 from hpac_gym.deploy.observer import Observer
 from hpac_gym.deploy.poses import averaged, source_of
 from hpac_gym.evaluation import options as environment
-from hpac_gym.model import HPAC, SERVOS, load_hand
+from hpac_gym.model import SERVOS, load_hand
 from hpac_gym.policies.loading import NAMES, NORMALIZE, about, load_policy, needed_options
 from hpac_gym.policies.policy_file import policy_path
 
@@ -111,7 +111,7 @@ def object_of(text: str) -> ObjectSpec:
 def run(options: argparse.Namespace) -> int:
     """Run one episode, or only tell what would be done."""
     env_id = options.env or about(options.policy).get("env_id") or "HPAC-Grasp-v0"
-    hand = load_hand(options.model) if options.model else HPAC
+    hand = load_hand(options.model)
     thing = object_of(options.object)
     given = environment.with_set(needed_options(options.policy, env_id), options.set)
     observer = Observer(env_id, thing, hand, options.grasp, **given)

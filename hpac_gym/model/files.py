@@ -45,13 +45,15 @@ about a servo's torque.
 _TOP = ("schema", "name", "sources", "servo", "cmc", "digits", "workspace", "calibration")
 
 
-def load_hand(path: str | PathLike[str]) -> Hand:
-    """Hand described by a TOML file.
+def load_hand(path: str | PathLike[str] | None = None) -> Hand:
+    """Hand described by a TOML file; without one `HPAC`.
 
     Raises:
         ParameterError: The file cannot be read, is not TOML, has another schema, or a number is
             missing, not a number, unknown or unphysical.
     """
+    if path is None:
+        return HPAC
     path = Path(path)
     return hand_from_toml(read_text(path, "hand file", ParameterError), str(path))
 

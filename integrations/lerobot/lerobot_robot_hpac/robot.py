@@ -23,7 +23,7 @@ from hpac_gym.bridge import BridgeError, HandLink, Stream
 from hpac_gym.bridge.commands import connector
 from hpac_gym.bridge.gentle import go, open_hand
 from hpac_gym.deploy.poses import averaged
-from hpac_gym.model import HPAC, load_hand
+from hpac_gym.model import load_hand
 from hpac_gym.settings import check_bounds, setting
 from lerobot_robot_hpac.features import (
     ACTIONS,
@@ -90,7 +90,7 @@ class Hpac(Robot):
         check_bounds(config, "robot")
         self.config = config
         self.cameras = make_cameras_from_configs(config.cameras)
-        self._hand = load_hand(config.hand) if config.hand else HPAC
+        self._hand = load_hand(config.hand)
         self._commands = Commands(self._hand)
         self._stack = ExitStack()
         # Of the link and all that follows: the caller's thread and the keeper's take turns.

@@ -25,7 +25,7 @@ from hpac_gym.deploy.errors import MALFORMED, DeployError
 from hpac_gym.deploy.observer import Observer
 from hpac_gym.deploy.poses import averaged
 from hpac_gym.errors import HpacError
-from hpac_gym.model import HPAC, SERVOS, action_from_synergy, load_hand, streamed_servo
+from hpac_gym.model import SERVOS, action_from_synergy, load_hand, streamed_servo
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import SceneSetup
 from hpac_gym.policies.loading import about, load_policy, needed_options
@@ -140,7 +140,7 @@ class HpacPolicy(HpacTeleoperator):
         config = self.config
         env_id = about(config.policy).get("env_id") or config.env
         thing = object_of(config.object)
-        hand = load_hand(config.hand) if config.hand else HPAC
+        hand = load_hand(config.hand)
         options = needed_options(config.policy)
         self._observer = Observer(env_id, thing, hand, config.grasp, **options)
         if self._observer.task.wrist_actions:

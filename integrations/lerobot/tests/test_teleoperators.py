@@ -194,7 +194,7 @@ def test_the_sliders_of_the_page_are_the_actions():
 def test_a_policy_gives_what_it_gives_in_a_deployment_and_one_episode_for_each_of_lerobots(
     name, file
 ):
-    hand = load_hand(file) if file else HPAC
+    hand = load_hand(file)
     seen = Observer("HPAC-Grasp-v0", object_of(CAN), hand)
     policy = load_policy(name, seen)
     pose, _ = Fixed(pose_of([0.0485, 0, 0.12], "here")).latest()
