@@ -47,7 +47,7 @@ def to_lerobot(recorded: MinariDataset, folder: Path) -> None:
     """Write episodes of `hpac record` as a LeRobot dataset into a new folder.
 
     A frame has `observation.state`, `action`, `next.reward`, `next.done`, `next.success` and the
-    episode's `seed`; the task is the environment's id.
+    episode's `seed`; the task is the environment's id, without its module.
 
     Raises:
         DatasetError: The package is not installed, or the observations are not one flat box.
@@ -58,7 +58,7 @@ def to_lerobot(recorded: MinariDataset, folder: Path) -> None:
     space = env.observation_space
     moves = env.action_space
     about = made_for(env)
-    task = env.spec.id
+    task = env.spec.id.rpartition(":")[2]  # without its module
     env.close()
     # Of the deploy vector.
     seen_names = [f"{name}.{label}" for name, label, *_ in about["observation"]]
