@@ -123,6 +123,25 @@ def test_a_list_of_rewards_and_any_array_of_outcomes_will_do():
             assert info["reward_terms"]["mine"] == 0.5
 
 
+class Told(Grasp):
+    def report(self, now):
+        return {**super().report(now), "touching": now.state.touching}
+
+
+def test_a_task_may_report_several_numbers_of_each_world():
+    """Also where a part of a batch is reset, whose other infos are kept."""
+    with HandEnv(Told()) as env, closing(HandVectorEnv(Told(), 3)) as envs:
+        _, alone = env.reset(seed=5)
+        _, infos = envs.reset(seed=3)
+        for mask in ([True] * 3, [False, True, False]):
+            _, infos = envs.reset(seed=[3, 4, 5], options={"reset_mask": np.array(mask)})
+            assert infos["touching"].shape == (3, 6)
+            assert infos["_touching"].tolist() == mask
+        *_, infos = envs.step(np.zeros((3, 6)))
+        *_, alone = env.step(np.zeros(6))
+        assert infos["touching"][2].tolist() == alone["touching"]
+
+
 def test_a_changed_task_has_its_reward_term_its_sampling_and_its_entry():
     with (
         gymnasium.make("mytasks:My-Gentle-v0", limit=0.0, randomize="nominal") as env,

@@ -24,8 +24,13 @@ def masked(columns: Mapping[str, NDArray], mask: Mask) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for name, values in columns.items():
         empty = None if values.dtype == object else values.dtype.type(0)
-        found |= {name: np.where(mask, values, empty), f"_{name}": mask.copy()}
+        found |= {name: _chosen(mask, values, empty), f"_{name}": mask.copy()}
     return found
+
+
+def _chosen(mask: Mask, values: NDArray, others: Any) -> NDArray:
+    """`values` in the worlds of a mask, `others` in the others."""
+    return np.where(mask.reshape(-1, *[1] * (values.ndim - 1)), values, others)
 
 
 def begin(
@@ -39,7 +44,7 @@ def begin(
     begun = np.zeros(len(episodes.setups), dtype=bool)
     begun[worlds] = True
     for name, column in masked(episodes.task.report(episodes.now), begun).items():
-        infos[name] = np.where(begun, column, infos[name]) if name in infos else column
+        infos[name] = _chosen(begun, column, infos[name]) if name in infos else column
     terms: dict[str, Any] = {} if episodes.task.goal_terms else {"reward_terms": {}}
     for world, randomized in zip(worlds, drawn, strict=True):
         add(infos, terms | {"randomized": randomized}, world)

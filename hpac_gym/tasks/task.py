@@ -151,8 +151,8 @@ class Task(ABC):
         return (now.outcome == SUCCESS).astype(float)
 
     def report(self, now: Moment) -> Mapping[str, Any]:
-        """Entries of `info` for a step, arrays of shape (n,), by name: those of a task with an
-        object, which `docs/environments/README.md` describes.
+        """Entries of `info` for a step, arrays of shape (n,) or (n, …), by name: those of a task with
+        an object, which `docs/environments/README.md` describes.
         """
         return {
             "is_success": now.outcome == SUCCESS,
