@@ -20,7 +20,7 @@ from hpac_gym.errors import ParameterError
 from hpac_gym.physics.engine import SceneSetup
 from hpac_gym.virtual.body import Body
 from hpac_gym.virtual.hand import POSE_HZ, Tracker, Virtual
-from hpac_gym.virtual.scene import POLICIES, add_scene, env_of, revealed, scene
+from hpac_gym.virtual.scene import POLICIES, add_scene, revealed, scene, scene_env
 from hpac_gym.virtual.wire import Faults, Relay
 
 ABOUT = "A virtual hand: the real firmware, whose pulses drive a simulated body."
@@ -84,7 +84,7 @@ def run(options: argparse.Namespace) -> int:
         if signal.getsignal(number) != signal.SIG_IGN:  # as `nohup` has it
             signal.signal(number, signal.default_int_handler)
     with ExitStack() as stack:
-        env = stack.enter_context(env_of(options))
+        env = stack.enter_context(scene_env(options))
         setup = scene(env.unwrapped, options.env, options.seed)
         if options.angles:
             setup = replace(setup, position=OUT_OF_REACH)
@@ -150,7 +150,7 @@ def play(options: argparse.Namespace) -> int:
     from hpac_gym.view.page import HandPage, Shown
 
     with ExitStack() as stack:
-        env = stack.enter_context(env_of(options)).unwrapped
+        env = stack.enter_context(scene_env(options)).unwrapped
         body = Body(env, options.seed or 0, scene(env, options.env, options.seed))
         page = HandPage(body.setup, ABOUT_PLAY, browser=not options.no_browser)
         stack.enter_context(closing(page))

@@ -43,7 +43,7 @@ def add_scene(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def env_of(options: argparse.Namespace) -> Any:
+def scene_env(options: argparse.Namespace) -> Any:
     """The environment of a scene."""
     more: dict[str, Any] = {}
     if options.env != GRASP and (options.grasp or options.object):
