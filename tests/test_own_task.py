@@ -129,17 +129,26 @@ class Told(Grasp):
 
 
 def test_a_task_may_report_several_numbers_of_each_world():
-    """Also where a part of a batch is reset, whose other infos are kept."""
-    with HandEnv(Told()) as env, closing(HandVectorEnv(Told(), 3)) as envs:
-        _, alone = env.reset(seed=5)
+    """Also in the step in which one world begins an episode and the others go on."""
+    envs = HandVectorEnv(Told(), 3, max_episode_steps=3)
+    with HandEnv(Told()) as env, closing(envs):
+        env.reset(seed=5)
         _, infos = envs.reset(seed=3)
-        for mask in ([True] * 3, [False, True, False]):
-            _, infos = envs.reset(seed=[3, 4, 5], options={"reset_mask": np.array(mask)})
-            assert infos["touching"].shape == (3, 6)
-            assert infos["_touching"].tolist() == mask
+        assert infos["touching"].shape == (3, 6)
+        assert infos["_touching"].tolist() == [True] * 3
         *_, infos = envs.step(np.zeros((3, 6)))
         *_, alone = env.step(np.zeros(6))
         assert infos["touching"][2].tolist() == alone["touching"]
+        mask = [False, True, False]
+        _, infos = envs.reset(seed=4, options={"reset_mask": np.array(mask)})
+        assert infos["touching"].shape == (3, 6)
+        assert infos["_touching"].tolist() == mask
+        for over in ([False] * 3, [True, False, True]):
+            _, _, _, truncated, _ = envs.step(np.zeros((3, 6)))
+            assert truncated.tolist() == over
+        *_, infos = envs.step(np.zeros((3, 6)))
+        assert infos["touching"].shape == (3, 6)
+        assert infos["_randomized"].tolist() == [True, False, True]
 
 
 def test_a_changed_task_has_its_reward_term_its_sampling_and_its_entry():
