@@ -295,6 +295,13 @@ def test_the_readme_is_short():
     assert len(README.split()) <= 900
 
 
+def test_a_count_in_the_readme_is_that_of_its_page():
+    told = re.findall(r"\[([\d,]+) of ([\d,]+)\]\(([\w/]+\.md)", README)
+    assert told
+    for *counts, page in told:
+        assert set(counts) <= set(re.findall(r"[\d,]+", text_of(ROOT / page)))
+
+
 IN_DOCS = [page for page in PAGES if page.parent != ROOT]
 
 
