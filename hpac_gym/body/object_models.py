@@ -56,11 +56,6 @@ class ObjectModel:
         sides = " × ".join(f"{side:g}" for side in self.size)
         return f"ObjectModel({self.name!r}, {sides} m, {self.mass:g} kg, {len(self.solids)} solids)"
 
-    @property
-    def bounds(self) -> tuple[Array, Array]:
-        """Lower and upper corner of the solids' bounding box, shapes (3,) [m]."""
-        return self.turned_bounds(np.eye(3))
-
     def turned_bounds(self, rotation: Array) -> tuple[Array, Array]:
         """Lower and upper corner of the bounding box of the solids after a rotation about the
         origin, shapes (3,) [m].

@@ -23,8 +23,8 @@ from hpac_gym.settings import check_choice
 
 MIN_SIDE = 0.002
 MAX_SIDE = 0.4
-"""Smallest and largest side of the bounding box [m]: limited by contact softness and by the
-observation bounds.
+"""Smallest and largest side of the bounding box [m]: limited by contact softness and by the bounds
+of the critic's `true_object_size`; the camera's sizes end at 0.2 m.
 """
 MAX_MASS = 5.0
 MAX_FRICTION = 2.0

@@ -20,7 +20,7 @@ from hpac_gym.envs.pictures import Pictures
 from hpac_gym.envs.randomization import changed_setup, drawn_value, stream
 from hpac_gym.envs.wrists import Wrists
 from hpac_gym.errors import EpisodeError, ParameterError, ShapeError
-from hpac_gym.model import SERVOS
+from hpac_gym.model import HPAC, SERVOS
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import Engine, PhysicsError, PhysicsWarning, SceneSetup, SceneState
 from hpac_gym.physics.settings import BODIES, HandSettings
@@ -293,6 +293,10 @@ def _check(task: Task, options: Options) -> None:
     if options.model == CALIBRATED and task.hands != "test":
         raise ParameterError(
             f"model 'calibrated' is that of held-out hands: it needs hands='test', not {task.hands!r}"
+        )
+    if task.hands != "nominal" and options.hand != HPAC:
+        raise ParameterError(
+            f"hands {task.hands!r} and a hand of one's own were given: give either"
         )
 
 

@@ -244,14 +244,11 @@ class GoalRewards:
     compute_truncated = compute_terminated
 
 
-class GoalEnv(HandEnv):
+class GoalEnv(GoalRewards, HandEnv):
     """`HandEnv` of a task with goals: its `compute_reward`, `compute_terminated` and
     `compute_truncated` are those of `GoalRewards`.
     """
 
     def __init__(self, task: Task, *given: Any, **options: Any) -> None:
-        super().__init__(task, *given, **options)
-        goals = GoalRewards(task, self.episodes.options.reward)
-        self.compute_reward = goals.compute_reward
-        self.compute_terminated = goals.compute_terminated
-        self.compute_truncated = goals.compute_truncated
+        HandEnv.__init__(self, task, *given, **options)
+        GoalRewards.__init__(self, task, self.episodes.options.reward)

@@ -8,13 +8,14 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from hpac_gym.body.objects import ObjectSpec
+from hpac_gym.body.geometry import Geometry
+from hpac_gym.body.objects import ObjectSpec, Support
 from hpac_gym.envs.randomization import PRESETS, Randomization, randomization
 from hpac_gym.errors import ParameterError
 from hpac_gym.model import HPAC, JOINTS, Hand, load_hand
 from hpac_gym.model.checks import as_bounded_array, as_finite_vector, as_unit_vector
 from hpac_gym.physics.engine import SceneSetup
-from hpac_gym.physics.settings import BODIES, WorldSettings
+from hpac_gym.physics.settings import BODIES, HandSettings, WorldSettings
 from hpac_gym.physics.simulation import ENGINES
 from hpac_gym.settings import check_bounds, check_choice, settings_from
 from hpac_gym.tasks.cameras import CameraNoise
@@ -27,6 +28,14 @@ _SETUP_ARRAYS = {
     "position": 3,
     "synergy": 6,
     "target": 3,
+}
+_SETUP_PARTS = {
+    "object": ObjectSpec,
+    "hand": Hand,
+    "geometry": Geometry,
+    "hand_settings": HandSettings,
+    "support": Support | None,
+    "fixed": bool,
 }
 
 
@@ -193,14 +202,12 @@ def _setup_of_goal(given: Any, task: Task, hand: Hand) -> GoalSetup:
 
 
 def _checked_setup(given: Any, task: Task, hand: Hand) -> SceneSetup:
-    if not (
-        isinstance(given, SceneSetup)
-        and isinstance(given.object, ObjectSpec)
-        and isinstance(given.hand, Hand)
-    ):
-        raise ParameterError(
-            f"option 'setup' must be a SceneSetup with an ObjectSpec and a Hand, not {given!r}"
-        )
+    if not isinstance(given, SceneSetup):
+        raise ParameterError(f"option 'setup' must be a SceneSetup, not {given!r}")
+    for name, kind in _SETUP_PARTS.items():
+        if not isinstance(part := getattr(given, name), kind):
+            kinds = " or ".join(one.__name__ for one in getattr(kind, "__args__", (kind,)))
+            raise ParameterError(f"setup {name} must be of type {kinds}, not {part!r}")
     found: dict[str, Any] = {
         name: as_finite_vector(getattr(given, name), size, f"setup {name}")
         for name, size in _SETUP_ARRAYS.items()

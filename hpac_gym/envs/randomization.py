@@ -65,7 +65,11 @@ class Randomization:
     object_yaw: Range = setting(
         _NONE, "yaw of the object about the vertical [rad]", bounds=(-np.pi, np.pi)
     )
-    sensor_noise: Range = setting(_SAME, "factor of the camera's noise", bounds=(0.0, 10.0))
+    sensor_noise: Range = setting(
+        _SAME,
+        "factor of the camera's noise and of the bias of the servos' load",
+        bounds=(0.0, 10.0),
+    )
     servo_lag: Range = setting(
         _NONE, "delay from a command to the servos' response [s]", bounds=(0.0, 0.15)
     )

@@ -16,7 +16,6 @@ from hpac_gym.envs.hand_env import GoalEnv, HandEnv
 from hpac_gym.envs.options import COMMON, check_names, check_number
 from hpac_gym.envs.vector_env import HandVectorEnv
 from hpac_gym.errors import ParameterError
-from hpac_gym.model import HPAC
 from hpac_gym.registration import Registered, add_row, row_of
 from hpac_gym.tasks.options import Option, options_of
 from hpac_gym.tasks.task import CONTROL_HZ, Task
@@ -100,10 +99,6 @@ def _given(row: Registered, options: dict[str, Any]) -> tuple[Task, dict[str, An
     task = _task(row, own)
     known = [*_own_options(row), *(option.name for option in _common(task))]
     check_names([name for name in options if name not in (*_UNLISTED, *task.unused)], known)
-    if task.hands != "nominal" and options.get("hand", HPAC) != HPAC:
-        raise ParameterError(
-            f"hands {task.hands!r} and a hand of one's own were given: give either"
-        )
     return task, own, options
 
 

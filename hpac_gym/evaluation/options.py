@@ -120,6 +120,9 @@ def env_of(args: argparse.Namespace, policy: str) -> tuple[str, dict[str, Any]]:
     return env_id, needed_options(policy, env_id) | env_options(args, env_id)
 
 
+_PYTHON = {"True": "true", "False": "false", "None": "null"}
+
+
 def with_set(options: Mapping[str, Any], texts: list[str]) -> dict[str, Any]:
     """Options with those of ``--set``, whose names may lead into dictionaries.
 
@@ -137,6 +140,7 @@ def with_set(options: Mapping[str, Any], texts: list[str]) -> dict[str, Any]:
             place = place.setdefault(parent, {})
             if not isinstance(place, dict):
                 raise ParameterError(f"--set '{text}': {parent} is {place!r}, and has no {name}")
+        value = _PYTHON.get(value, value)
         numbers = re.fullmatch(r"[-+.\deE\s]+(,[-+.\deE\s]+)+", value)
         try:
             place[name] = json.loads(f"[{value}]" if numbers else value)

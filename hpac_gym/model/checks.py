@@ -105,3 +105,9 @@ def as_bounded_array(
             f"{name} {labels[column]} = {array[where]:.6g} {unit} is outside [{lower[column]:.6g}, {upper[column]:.6g}] {unit}"
         )
     return array
+
+
+def read_only(array: Array) -> Array:
+    """The array itself, which from now on refuses to be written to."""
+    array.setflags(write=False)
+    return array

@@ -12,6 +12,7 @@ from hpac_gym.model.checks import (
     as_bounded_array,
     as_finite_array,
     as_finite_vector,
+    read_only,
 )
 from hpac_gym.model.elasticity import row_by_row
 from hpac_gym.model.files import HPAC
@@ -40,9 +41,8 @@ class ServoCommand:
     """Duration of the move [s]."""
 
     def __post_init__(self) -> None:
-        servo = as_finite_vector(self.servo, len(SERVOS), "servo").copy()
-        servo.setflags(write=False)
-        object.__setattr__(self, "servo", servo)
+        servo = as_finite_vector(self.servo, len(SERVOS), "servo")
+        object.__setattr__(self, "servo", read_only(servo.copy()))
         _require_duration(self.duration)
 
 

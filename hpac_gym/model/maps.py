@@ -43,16 +43,13 @@ class CommandMap:
     Args:
         hand: the model at every place.
         count: n.
-        table: hand whose servo range bounds the commands of a calibrated model, as the board that
-            drives the hand was flashed with it.
 
     Attributes:
         inverts_files: whether commands come from the inverse of hand files instead of Eq. (15).
     """
 
-    def __init__(self, hand: Hand = HPAC, count: int = 1, table: Hand = HPAC) -> None:
+    def __init__(self, hand: Hand = HPAC, count: int = 1) -> None:
         self.hands = [hand] * count
-        self._board = table
         self._known: dict[int, tuple[Hand, Array, Array]] = {}
         """Tables by the id of the hand, which is kept beside them, so that no other gets its id."""
         self.inverts_files = False
@@ -62,7 +59,7 @@ class CommandMap:
     @property
     def bounds(self) -> Hand:
         """The hand whose servo range and rate limit bound the commands."""
-        return self._board if self.inverts_files else self.hands[0]
+        return HPAC if self.inverts_files else self.hands[0]
 
     def take(self, places: Sequence[int], hands: Sequence[Hand]) -> None:
         """Give some of the n places other models, all of them calibrated or not; those that differ
@@ -80,7 +77,7 @@ class CommandMap:
         for place, hand in zip(places, hands, strict=True):
             self.hands[place] = hand
             if id(hand) not in self._known:
-                self._known[id(hand)] = hand, *_tables(hand, self._board)
+                self._known[id(hand)] = hand, *_tables(hand, HPAC)
             _, self._servo[place], self._joint_pos[place] = self._known[id(hand)]
 
     def servo_from_action(self, action: Array, flexing: Array) -> Array:
@@ -98,7 +95,7 @@ class CommandMap:
         """
         if not self.inverts_files:
             return servo_from_action(_alone(action), self.hands[0]).reshape(len(action), -1)
-        return self.servo_from_synergy(synergy_from_action(action, self._board), flexing)
+        return self.servo_from_synergy(synergy_from_action(action, HPAC), flexing)
 
     def servo_from_synergy(
         self, synergy: Array, flexing: Array, places: Sequence[int] | slice = slice(None)
@@ -106,7 +103,7 @@ class CommandMap:
         """Servo angles for synergies within Table I at some places, shape (k, 6) [rad]."""
         if not self.inverts_files:
             return unchecked_servo_from_synergy(np.asarray(synergy, dtype=float), self.hands[0])
-        board = self._board
+        board = HPAC
         share = (synergy - board.synergy_min) / (board.synergy_max - board.synergy_min)
         servo = _interpolated(self._servo[places], share, flexing, _SERVO_OF_SERVO)
         return np.clip(servo, board.servo_min, board.servo_max)
@@ -118,8 +115,8 @@ class CommandMap:
             synergy = unchecked_synergy_from_servo(_alone(servo), hand)
             predicted = synergy.take(hand.servo_of_joint, axis=-1) * hand.elastic_ratio
             return predicted.reshape(len(servo), -1)
-        share = (servo - self._board.servo_min) / (self._board.servo_max - self._board.servo_min)
-        return _interpolated(self._joint_pos, share, flexing, self._board.servo_of_joint)
+        share = (servo - HPAC.servo_min) / (HPAC.servo_max - HPAC.servo_min)
+        return _interpolated(self._joint_pos, share, flexing, HPAC.servo_of_joint)
 
     def shown_servo(self, servo: Array, predicted: Array) -> Array:
         """Servo angles as a policy sees them: those of the nominal hand at the synergy that the
@@ -131,8 +128,8 @@ class CommandMap:
         """
         if not self.inverts_files:
             return servo
-        synergy = np.clip(predicted[:, _ROOTS], self._board.synergy_min, self._board.synergy_max)
-        return unchecked_servo_from_synergy(synergy, self._board)
+        synergy = np.clip(predicted[:, _ROOTS], HPAC.synergy_min, HPAC.synergy_max)
+        return unchecked_servo_from_synergy(synergy, HPAC)
 
 
 _SERVO_OF_SERVO = np.arange(len(SERVOS))

@@ -14,16 +14,11 @@ import numpy as np
 
 from hpac_gym.errors import ParameterError
 from hpac_gym.model.calibration import Calibration
-from hpac_gym.model.checks import Array
+from hpac_gym.model.checks import Array, read_only
 from hpac_gym.model.guides import chord_from_included
 from hpac_gym.model.joints import DIGITS, JOINT_INDEX, JOINTS, SERVO_INDEX, SERVOS, digit_joints
 
 _CMC = len(SERVOS) - 1
-
-
-def _read_only(array: Array) -> Array:
-    array.setflags(write=False)
-    return array
 
 
 def _require_positive(owner: str, name: str, value: float, unit: str) -> None:
@@ -224,37 +219,37 @@ class Hand:
     @cached_property
     def joint_min(self) -> Array:
         """q_min, shape (15,) [rad]. Table I."""
-        return _read_only(np.array([self.workspace[name][0] for name in JOINTS]))
+        return read_only(np.array([self.workspace[name][0] for name in JOINTS]))
 
     @cached_property
     def joint_max(self) -> Array:
         """q_max, shape (15,) [rad]. Table I."""
-        return _read_only(np.array([self.workspace[name][1] for name in JOINTS]))
+        return read_only(np.array([self.workspace[name][1] for name in JOINTS]))
 
     @cached_property
     def synergy_min(self) -> Array:
         """Lower limits of the six driven joints, Table I, shape (6,) [rad]."""
-        return _read_only(np.array([self.workspace[name][0] for name in SERVOS]))
+        return read_only(np.array([self.workspace[name][0] for name in SERVOS]))
 
     @cached_property
     def synergy_max(self) -> Array:
         """Upper limits of the six driven joints, Table I, shape (6,) [rad]."""
-        return _read_only(np.array([self.workspace[name][1] for name in SERVOS]))
+        return read_only(np.array([self.workspace[name][1] for name in SERVOS]))
 
     @cached_property
     def servo_min(self) -> Array:
         """Servo angles that put the driven joints at q_min, shape (6,) [rad]."""
-        return _read_only(unchecked_servo_from_synergy(self.synergy_min, self))
+        return read_only(unchecked_servo_from_synergy(self.synergy_min, self))
 
     @cached_property
     def servo_max(self) -> Array:
         """Servo angles that put the driven joints at q_max, shape (6,) [rad]."""
-        return _read_only(unchecked_servo_from_synergy(self.synergy_max, self))
+        return read_only(unchecked_servo_from_synergy(self.synergy_max, self))
 
     @cached_property
     def servo_rate_limit(self) -> Array:
         """Largest commanded speed of each servo, shape (6,) [rad/s]."""
-        return _read_only(np.full(len(SERVOS), self.rate_limit))
+        return read_only(np.full(len(SERVOS), self.rate_limit))
 
     @cached_property
     def guide_alpha(self) -> Array:
@@ -264,12 +259,12 @@ class Hand:
     @cached_property
     def guide_sum(self) -> Array:
         """d₁² + d₂², shape (5,) [m²]."""
-        return _read_only(self._stack("d1") ** 2 + self._stack("d2") ** 2)
+        return read_only(self._stack("d1") ** 2 + self._stack("d2") ** 2)
 
     @cached_property
     def guide_product(self) -> Array:
         """2 d₁ d₂, shape (5,) [m²]."""
-        return _read_only(2 * self._stack("d1") * self._stack("d2"))
+        return read_only(2 * self._stack("d1") * self._stack("d2"))
 
     @cached_property
     def rest_chord(self) -> Array:
@@ -282,7 +277,7 @@ class Hand:
         return self._stack("servo_radius")
 
     def _stack(self, name: str) -> Array:
-        return _read_only(
+        return read_only(
             np.array([getattr(digit, name) for digit in self.digits.values()], dtype=float)
         )
 
@@ -290,7 +285,7 @@ class Hand:
     def servo_of_joint(self) -> np.ndarray:
         """Index of the servo that moves each joint, shape (15,)."""
         root = {name: digit.joints[0] for digit in self.digits.values() for name in digit.joints}
-        return _read_only(np.array([SERVO_INDEX[root.get(name, name)] for name in JOINTS]))
+        return read_only(np.array([SERVO_INDEX[root.get(name, name)] for name in JOINTS]))
 
     @cached_property
     def rigid_ratio(self) -> Array:
@@ -310,14 +305,14 @@ class Hand:
         values = np.full(len(JOINTS), cmc)
         for digit in self.digits.values():
             values[[JOINT_INDEX[joint] for joint in digit.joints]] = getattr(digit, name)
-        return _read_only(values)
+        return read_only(values)
 
     @cached_property
     def deviation_matrix(self) -> Array:
         """B with b(q) = B q, shape (15, 15). Eqs. (10), (11)."""
         same_digit = self.servo_of_joint[:, None] == self.servo_of_joint
         products = np.outer(self._by_joint("compliance", cmc=0.0), self.joint_radius)
-        return _read_only(np.where(same_digit, products, 0.0))
+        return read_only(np.where(same_digit, products, 0.0))
 
     @cached_property
     def synergy_projection(self) -> Array:
@@ -327,7 +322,7 @@ class Hand:
         inverse = np.zeros((len(SERVOS), len(JOINTS)))
         inverse[self.servo_of_joint, np.arange(len(JOINTS))] = self.rigid_ratio
         inverse /= (inverse**2).sum(axis=1, keepdims=True)
-        return _read_only(inverse @ (np.eye(len(JOINTS)) + self.deviation_matrix))
+        return read_only(inverse @ (np.eye(len(JOINTS)) + self.deviation_matrix))
 
     @cached_property
     def joint_radius(self) -> Array:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hpac_gym.errors import HpacError
-from hpac_gym.model.checks import Array, as_finite_vector
+from hpac_gym.model.checks import Array, as_finite_vector, read_only
 from hpac_gym.model.command import clip_to_workspace, servo_from_joints
 from hpac_gym.model.elasticity import elastic_joints_from_servo
 from hpac_gym.model.files import HPAC
@@ -57,8 +57,7 @@ class Reach:
 def _posture(name: str, table: dict[str, Any]) -> Posture:
     *thumb, cmc = table["thumb"]
     fingers = [angle for finger in FINGERS for angle in table[finger]]
-    target = np.array([*thumb, *fingers, cmc], dtype=float)  # in the order of `JOINTS`
-    target.setflags(write=False)
+    target = read_only(np.array([*thumb, *fingers, cmc], dtype=float))  # in the order of `JOINTS`
     return Posture(
         name, table["panel"], table["kind"], table["about"], target, tuple(table.get("aliases", ()))
     )

@@ -24,7 +24,7 @@ OPEN = -1.0
 """Action that opens a digit."""
 _THUMB = SERVO_INDEX["thumb_mp"]
 _CMC = SERVO_INDEX["thumb_cmc"]
-_NAMES = (*(f"{servo}_goal" for servo in SERVOS), "duration", "thumb_delay")
+_GOALS = tuple(f"{servo}_goal" for servo in SERVOS)
 _WRIST = ("grasp_x", "grasp_y", "grasp_z", "turn_x", "turn_y", "turn_z")
 _SHIFT = ("wrist_x", "wrist_y", "wrist_z", "wrist_yaw")
 _ACTION: dict[str, Any] = {"bounds": (-1.0, 1.0)}
@@ -88,23 +88,30 @@ class Closures:
             raise PolicyError(f"invalid closure ranges: {error}") from None
 
     @property
+    def _ranges(self) -> dict[str, Range]:
+        """The range of each of the closure's numbers, by name, in order."""
+        preshape = None if self.wrist is None else self.goal
+        kinds = (
+            (_GOALS, self.goal),
+            (("duration",), self.duration),
+            (("thumb_delay",), self.thumb_delay),
+            (("begin",), self.begin),
+            (("release",), self.release),
+            (_WRIST, self.wrist),
+            (_PRESHAPE, preshape),
+            (_SHIFT, self.shift),
+        )
+        return {name: given for names, given in kinds if given is not None for name in names}
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Names of the closure's numbers, in order."""
-        times = ("begin", "release") if self.begin is not None else ()
-        shift = _SHIFT if self.shift is not None else ()
-        return _NAMES + times + (_WRIST + _PRESHAPE if self.wrist is not None else shift)
+        return tuple(self._ranges)
 
     @property
     def bounds(self) -> NDArray[np.float64]:
         """Lowest and highest value of each number, shape (2, len(names))."""
-        ranges = [self.goal] * len(SERVOS) + [self.duration, self.thumb_delay]
-        if self.begin is not None and self.release is not None:
-            ranges += [self.begin, self.release]
-        if self.wrist is not None:
-            ranges += [self.wrist] * len(_WRIST) + [self.goal] * len(SERVOS)
-        elif self.shift is not None:
-            ranges += [self.shift] * len(_SHIFT)
-        return np.array(ranges).T
+        return np.array([*self._ranges.values()]).T
 
     def decisions(self, values: ArrayLike) -> NDArray[np.float64]:
         """The numbers of closures scaled to decisions, −1…1, both of shape (..., len(names))."""

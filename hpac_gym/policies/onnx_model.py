@@ -128,8 +128,9 @@ def read_onnx(folder: Path, env: gymnasium.Env[Any, Any]) -> LearnedPolicy:
         described = told | {"made_for": told | {"observation": entries}}
         closures = Closures.of(decision["closure"])
         moves = Increments.of(decision.get("increments"))
-        if not (repeat := 1 if closures else decision["control_steps"]) >= 1:
-            raise ValueError(f"control_steps is {repeat}, and must be at least 1")
+        repeat = 1 if closures else decision["control_steps"]
+        if not (isinstance(repeat, int) and repeat >= 1):
+            raise ValueError(f"control_steps is {repeat}, and must be a whole number of at least 1")
         if (inputs := [entry.name for entry in session.get_inputs()]) != ["observation"]:
             raise ValueError(f"the inputs of its model are {', '.join(inputs)}, not observation")
         ends = session.get_inputs()[0].shape[1], session.get_outputs()[0].shape[1]

@@ -228,6 +228,7 @@ def _actor_from_arrays(arrays: dict[str, NDArray[Any]]) -> Actor:
     )
     mean = arrays["observation_mean"]
     scale = arrays["observation_scale"]
+    clips = arrays["observation_clip"], arrays["mean_clip"]
     width = len(mean)
     for weight, bias in layers:
         if weight.shape != (len(bias), width) or bias.ndim != 1:
@@ -239,8 +240,9 @@ def _actor_from_arrays(arrays: dict[str, NDArray[Any]]) -> Actor:
         not layers
         or mean.ndim != 1
         or scale.shape != mean.shape
-        or not np.all(scale > 0)
+        or not all(array.dtype.kind == "f" for array in arrays.values())
         or not all(np.all(np.isfinite(array)) for array in arrays.values())
+        or not all(np.all(entry > 0) for entry in (scale, *clips))
     ):
         raise ValueError("the arrays of the actor are not those of a policy")
-    return Actor(mean, scale, float(arrays["observation_clip"]), layers, float(arrays["mean_clip"]))
+    return Actor(mean, scale, float(clips[0]), layers, float(clips[1]))

@@ -13,12 +13,11 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from hpac_gym.body.object_models import ObjectModel, load_object_models
 from hpac_gym.body.objects import Support
 from hpac_gym.errors import HpacError
-from hpac_gym.model.checks import Array
+from hpac_gym.model.checks import Array, read_only
 
 DATA = files("hpac_gym.tasks") / "data"
 NOMINAL = "nominal"
@@ -113,8 +112,8 @@ def grasps_of(tables: dict[str, Any]) -> dict[str, NamedGrasp]:
             object=models[table.pop("object")],
             hand_rpy=tuple(np.deg2rad(table.pop("hand_rpy_deg")).tolist()),
             object_rpy=tuple(np.deg2rad(table.pop("object_rpy_deg")).tolist()),
-            preshape=_read_only(table.pop("preshape")),
-            closed=_read_only(table.pop("closed")),
+            preshape=read_only(np.array(table.pop("preshape"), float)),
+            closed=read_only(np.array(table.pop("closed"), float)),
             support=Support(**with_tuples(table.pop("support"))),
             held_out=MappingProxyType(common | own),
             **with_tuples(table),
@@ -135,12 +134,6 @@ def _variants(
         known = {"object": models[table["object"]]} if "object" in table else {}
         found[name] = Variant(**table | known)
     return found
-
-
-def _read_only(synergy: ArrayLike) -> Array:
-    array = np.array(synergy, dtype=float)
-    array.setflags(write=False)
-    return array
 
 
 GRASPS: Mapping[str, NamedGrasp] = MappingProxyType(

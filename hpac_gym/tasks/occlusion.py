@@ -100,24 +100,13 @@ class Skeleton:
         """True if the thumb of one hand penetrates a finger at these joint angles, shape (15,)
         [rad].
         """
-        first, second = self.segments(joint_pos[None], np.array([world]))
-        radius = self.radius[[world]]
+        ends = self.segments(joint_pos[None], np.array([world]))[:, 0]
+        radius = self.radius[world]
         fingers = slice(3, len(JOINTS))
-        first_of = first[:, fingers]
-        second_of = second[:, fingers]
-        wide = radius[:, fingers]
-        one = np.ones((1, 1), dtype=bool)
-        return any(
-            covered(
-                first[:, link],
-                second[:, [link]],
-                one,
-                first_of,
-                second_of,
-                wide + radius[:, [link]],
-            ).any()
-            for link in range(3)
-        )
+        bones = np.repeat(ends[:, None, fingers], 3, axis=1)
+        wide = radius[fingers] + radius[:3, None]
+        one = np.ones((3, 1), dtype=bool)
+        return bool(covered(ends[0, :3], ends[1, :3, None], one, *bones, wide).any())
 
 
 def _capsules(solid: Box | Capsule) -> list[Capsule]:

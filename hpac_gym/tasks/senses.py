@@ -140,7 +140,9 @@ class Senses:
         }
 
     def start(self, world: int, setup: SceneSetup, factor: float, rng: np.random.Generator) -> None:
-        """Begin an episode of a setup, with `factor` times the noise, drawn from `rng`."""
+        """Begin an episode of a setup, with `factor` times the camera's noise and the load's bias,
+        drawn from `rng`.
+        """
         camera_rng, self._rng[world] = rng.spawn(2)
         self._camera.start(world, setup, factor, camera_rng)
         self._skeleton.fit(world, setup.geometry)

@@ -107,7 +107,7 @@ def test_objects_are_bodies_that_there_can_be():
         {thing.name: thing.model for thing in EVERY} | load_object_models()
     ).items():
         moments = np.linalg.eigvalsh(model.inertia)
-        (low, high) = model.bounds
+        (low, high) = model.turned_bounds(np.eye(3))
         masses = [solid.mass for solid in model.solids]
         assert min(masses) > 0, name
         assert sum(masses) == pytest.approx(model.mass, rel=1e-6), name
@@ -190,7 +190,7 @@ def test_real_objects_are_within_five_percent_of_what_their_sources_print():
     that is in no set.
     """
     for model in (*(thing.model for thing in SETS["real"]), load_object_models()["quoit"]):
-        low, high = model.bounds
+        low, high = model.turned_bounds(np.eye(3))
         found = dict(zip("xyz", high - low, strict=True)) | {"mass": model.mass}
         source, published, chosen = (
             SOURCES[model.name][name] for name in ("source", "published", "chosen")

@@ -370,7 +370,7 @@ def test_a_urdf_is_read_with_its_fixed_joints_its_meshes_and_its_masses(ell, dec
     model = own_object(ell.parent / "mallet.urdf", folder=decomposed).model
     assert model.mass == pytest.approx(0.12)
     assert {solid.kind for solid in model.solids} == {"cylinder", "hull"}
-    low, high = model.bounds
+    low, high = model.turned_bounds(np.eye(3))
     # The L is turned: 20 mm deep along -x, 30 along y.
     np.testing.assert_allclose(high - low, (0.03, 0.04, 0.14), atol=1e-5)
     assert own_object(

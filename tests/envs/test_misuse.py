@@ -17,7 +17,7 @@ from gymnasium.utils.env_checker import data_equivalence
 from gymnasium.wrappers import TimeAwareObservation
 
 from hpac_gym.body.objects import ObjectSpec
-from hpac_gym.envs import GoalEnv, Grasp, GraspAnyConfig, HandEnv, HandVectorEnv, Posture
+from hpac_gym.envs import GoalEnv, Grasp, GraspAny, GraspAnyConfig, HandEnv, HandVectorEnv, Posture
 from hpac_gym.envs.options import COMMON
 from hpac_gym.envs.randomization import Randomization
 from hpac_gym.envs.registered import options_of_id
@@ -195,7 +195,11 @@ SETUPS = [
     ({"setup": "nonsense"}, ParameterError, "SceneSetup.*'nonsense'"),
     ({"setup": 0}, ParameterError, "SceneSetup.*0"),
     ({"setup": a_setup(object="rod")}, ParameterError, "ObjectSpec.*'rod'"),
-    ({"setup": a_setup(hand="mine.toml")}, ParameterError, "a Hand, not .*'mine.toml'"),
+    ({"setup": a_setup(hand="mine.toml")}, ParameterError, "of type Hand, not 'mine.toml'"),
+    ({"setup": a_setup(hand_settings={})}, ParameterError, "of type HandSettings, not {}"),
+    ({"setup": a_setup(support=(0.1, 0.1))}, ParameterError, "of type Support or NoneType, not"),
+    ({"setup": a_setup(fixed="no")}, ParameterError, "setup fixed must be of type bool, not 'no'"),
+    ({"setup": a_setup(rest_height=0.9)}, ParameterError, "underside of the object is -0.[0-9]+ m"),
     ({"setpu": None}, ParameterError, "'setpu'.*'setup'"),
     ("setup", ParameterError, "'setup'.*None or"),
     (
@@ -307,6 +311,11 @@ def test_a_setup_that_is_no_episode_of_its_task_is_refused(env_id, change, messa
         env.reset(options={"setup": drawn})
         with pytest.raises(HpacError, match=message):
             env.reset(options={"setup": replace(drawn, **change)})
+
+
+def test_a_task_that_draws_its_hands_takes_no_other_one():
+    with pytest.raises(ParameterError, match="hands 'train' and a hand of one's own were given"):
+        HandEnv(GraspAny(hands="train"), hand=replace(HPAC, name="mine"))
 
 
 def test_a_setup_of_lists_is_that_of_its_arrays_and_tuples():

@@ -42,6 +42,8 @@ def test_a_weight_is_set_by_the_path_of_its_name():
         ("wrist=free", "free"),
         ("randomize=null", None),
         ("a=true", True),
+        ("a=False", False),
+        ("noise=None", None),
         ("a=[0.5, 1]", [0.5, 1]),
         ("a=-0.7,1e-1", [-0.7, 0.1]),
         ("a=1,", "1,"),
@@ -49,7 +51,7 @@ def test_a_weight_is_set_by_the_path_of_its_name():
         ("a=mine=yours", "mine=yours"),
     ],
 )
-def test_a_value_is_json_or_else_text(text, value):
+def test_a_value_is_json_or_a_constant_of_python_or_else_text(text, value):
     assert list(options("--set", text).values()) == [value]
 
 

@@ -160,6 +160,20 @@ def test_snapshots_of_every_layout_go_on_to_the_bit(begun):
 # -------------------------------------------------------------------------------------
 
 
+def test_layouts_that_no_world_has_are_forgotten(begun, monkeypatch):
+    setups = varied()
+    engine = MuJoCoEngine(1)
+    monkeypatch.setattr("hpac_gym.physics.mujoco.engine.GROUPS_KEPT", 2)
+    kept = []
+    for setup in setups:
+        engine.reset([0], [setup])
+        kept.append(len(engine._groups))
+    assert max(kept) == 2
+    engine.reset([0], setups[:1])
+    first = engine.state()
+    assert bits([first, *close(engine)], 0) == alone(0)
+
+
 def test_a_hand_starts_at_rest_on_its_manifold(begun):
     state = begun("mujoco", primitive(synergy=0.2 * HPAC.synergy_max)).state()
     np.testing.assert_array_equal(state.joint_pos[0], joints_from_synergy(0.2 * HPAC.synergy_max))

@@ -50,7 +50,7 @@ def test_a_loaded_object_has_its_mass_its_inertia_and_its_size(model: ObjectMode
         position, _ = item.pose()
         np.testing.assert_allclose(position, (0.1, 0.2, 0.3), atol=1e-6)
         item = SimObject(world, spec, (0, 0, 0))
-        (low, high) = model.bounds
+        (low, high) = model.turned_bounds(np.eye(3))
         extents = [
             reach(world, item, direction) + reach(world, item, -direction)
             for direction in np.eye(3)

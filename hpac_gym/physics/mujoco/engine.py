@@ -27,6 +27,11 @@ from hpac_gym.physics.mujoco.group import Group, Rows
 from hpac_gym.physics.mujoco.model import Layout
 from hpac_gym.physics.settings import HandSettings, WorldSettings
 
+GROUPS_KEPT = 32
+"""Number of layouts beyond which those that no world has are forgotten: every mesh has its own, and
+the sets of objects have fewer than ten.
+"""
+
 
 class MuJoCoEngine(Engine):
     """`hpac_gym.physics.engine.Engine` on MuJoCo. Threads, one per processor but no more than
@@ -92,6 +97,8 @@ class MuJoCoEngine(Engine):
         for group in dict.fromkeys(filter(None, self._group_of)):
             rows = np.flatnonzero([owner is group for owner in self._group_of])
             self._rows[group] = slice(None) if len(rows) == self.num_worlds else rows
+        if len(self._groups) > GROUPS_KEPT:
+            self._groups = {group.layout: group for group in self._rows}
 
     def advance(
         self, servo: Array, servo_vel: Array, wrist: Array, push: Array | None = None
