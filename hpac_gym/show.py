@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from hpac_gym.command import add_json, say, whole_number
+from hpac_gym.errors import ParameterError
 from hpac_gym.evaluation.environment import make_env
 from hpac_gym.evaluation.episodes import run_episodes, single
 from hpac_gym.evaluation.options import add_policy_and_env, env_of
@@ -56,6 +57,8 @@ def run(options: argparse.Namespace) -> int:
     """Show episodes, one after another."""
     policy = options.policy or ("scripted" if options.grasp else shipped_for(options.env or GRASP))
     env_id, given = env_of(options, policy)
+    if "render_mode" in given:
+        raise ParameterError("--set render_mode: hpac show has its own")
     count = options.episodes or (3 if options.record else None)
     mode = "rgb_array" if options.record else "human"
     with ExitStack() as stack:

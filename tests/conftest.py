@@ -22,11 +22,6 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 # A shell's background job ignores Ctrl-C, and what it starts would, too.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
-if find_spec("triton"):
-    # Comes with PyTorch for CUDA. It and Mesa's OpenGL each bring an LLVM: loaded after a picture,
-    # it ends the process.
-    import triton  # noqa: F401
-
 settings.register_profile("default", deadline=None, derandomize=True, max_examples=50)
 settings.load_profile("default")
 

@@ -25,7 +25,7 @@ ROOMS = {
     "bridge": {"numpy", "serial"},
     "camera": {"numpy", "scipy", "cv2", "matplotlib"},
     "calibration": {"numpy", "scipy", "matplotlib"},
-    "physics": {"numpy", "scipy", "pybullet", "mujoco"},
+    "physics": {"numpy", "scipy", "pybullet", "mujoco", "triton"},
     "tasks": {"numpy", "scipy", "gymnasium"},
     "view": {"numpy", "scipy", "trimesh", "viser"},
     "envs": {"numpy", "gymnasium", "stable_baselines3"},

@@ -133,6 +133,10 @@ MISTAKES = [
     (f"{EVALUATE} --env nothing_here:Nothing-v3", "no environment 'nothing_here:Nothing-v3'"),
     (f"{EVALUATE} --env :", "no environment ':': an id is name-v0 or module:name-v0"),
     (f"{EVALUATE} --env a:b:c", "no environment 'a:b:c': an id is name-v0"),
+    (f"{EVALUATE} --set max_episode_steps=0", "with max_episode_steps: "),
+    (f"{EVALUATE} --set physics=3", "--set physics: only a program in Python can give it"),
+    ("hpac evaluate --policy tests.test_mistakes:idle", "(action, state), not (None, state)"),
+    ("hpac show --set render_mode=human", "--set render_mode: hpac show has its own"),
     (f"{EVALUATE} --episodes 0", "'0' is not a whole number of at least 1"),
     (
         f"{EVALUATE} --seed-start 9223372036854775808",
@@ -164,6 +168,7 @@ MISTAKES = [
         "training seeds are 9 to 2000000: they must lie in 0 to 999999, in order",
     ),
     (f"{BENCHMARK} random", "--out must be given, or --check alone"),
+    (f"{BENCHMARK} random --check x", "it goes without an environment and --policy"),
     (f"{BENCHMARK} no/such.hpac --out x", "no policy file 'no/such.hpac'"),
     (
         f"{BENCHMARK} no.such:thing --out x",
@@ -290,6 +295,11 @@ def forgetful(env):
 def wordless(env):
     """A policy that returns no state."""
     return argparse.Namespace(predict=lambda observation, state, begins: observation[:6])
+
+
+def idle(env):
+    """A policy that returns no action."""
+    return argparse.Namespace(predict=lambda observation, state, begins: (None, state))
 
 
 def short(env):

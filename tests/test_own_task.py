@@ -15,7 +15,7 @@ from gymnasium.vector import AsyncVectorEnv
 
 import hpac_gym
 from agents import POLICY
-from hpac_gym.envs import Grasp, HandEnv, HandVectorEnv, make_task
+from hpac_gym.envs import Grasp, HandEnv, HandVectorEnv, Posture, make_task
 from hpac_gym.envs.registered import options_of_id
 from hpac_gym.envs.snapshots import undeclared
 from hpac_gym.errors import EnvError, HpacError, ParameterError, ShapeError
@@ -105,13 +105,49 @@ class Paid(Grasp):
             r"term 'seen' must have shape \(2, 1\), not \(2,\)",
         ),
         ({"seen": lambda now: now.state.touching}, r"term 'seen' .* \(2, 1\), not \(2, 6\)"),
+        ({"judged": lambda found: True}, r"judge must return \(2,\) indices .*, not True"),
+        ({"judged": lambda found: found + 7}, r"indices into running, success, failure, not array"),
     ],
 )
-def test_a_term_of_the_wrong_shape_is_named(given, message):
+def test_what_has_the_wrong_shape_is_named(given, message):
     """A reward with a column each would be added up to n rewards for each of n environments."""
     with closing(HandVectorEnv(Paid(**given), 2)) as envs, pytest.raises(ShapeError, match=message):  # noqa: PT012
         envs.reset(seed=0)
         envs.step(np.zeros((2, 6)))
+
+
+class Twice(Grasp):
+    """`Grasp` with two terms of one name in the observation or the reward."""
+
+    def __init__(self, name):
+        super().__init__()
+        setattr(self, name, (*getattr(self, name), getattr(self, name)[0]))
+
+
+class Bonus(Posture):
+    """`Posture` with another reward beside that which hindsight replay computes."""
+
+    def __init__(self):
+        super().__init__()
+        self.reward_terms = (*self.reward_terms, RewardTerm("bonus", "", lambda now: [1.0]))
+
+
+class Goals(Grasp):
+    goal_terms = Posture.goal_terms
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Twice("terms"), "the observation has two terms 'servo': each needs"),
+        (lambda: Twice("reward_terms"), "the reward has two terms 'contact': each needs"),
+        (Bonus, "Bonus has goals and 2 reward terms: one is possible"),
+        (Goals, "Goals has goal_terms but no measure and goal_reward: make it a subclass"),
+    ],
+)
+def test_terms_that_do_not_go_together_are_refused(make, message):
+    with pytest.raises(ParameterError, match=message):
+        HandEnv(make())
 
 
 def test_a_list_of_rewards_and_any_array_of_outcomes_will_do():
@@ -270,6 +306,15 @@ class NoTerms(Task):
         raise NotImplementedError
 
 
+class Long(Twice):
+    duration = 3.0
+    config = None
+
+    def __init__(self):
+        Task.__init__(self)
+        self.reward_terms = self.terms = ()
+
+
 class Half(Task):
     duration = 1.0
 
@@ -282,6 +327,7 @@ class Half(Task):
         (Grasp, 0, ParameterError, "max_episode_steps = 0 must be a whole number"),
         (Grasp, 1.5, ParameterError, r"max_episode_steps = 1\.5 must"),
         (Grasp, 30, ParameterError, "lasts 64 steps: Wrong-v0 has at most 29"),
+        (Long, 60, ParameterError, "an episode lasts 60 steps: .* register it with more than 60"),
         (NoTerms, None, ParameterError, "NoTerms has no terms, reward_terms"),
         (Half, None, TypeError, "abstract.*judge.*setup"),
         (lambda: 3, None, ParameterError, "Wrong-v0 needs a .*Task: int has no duration"),

@@ -27,10 +27,11 @@ from hpac_gym.physics.settings import BODIES, HandSettings
 from hpac_gym.physics.simulation import Simulation, make_engine
 from hpac_gym.settings import check_choice
 from hpac_gym.tasks.quality import contact_wrenches, largest_ball
-from hpac_gym.tasks.task import CONTROL_HZ, FAILURE, RUNNING, GoalSetup, Task
-from hpac_gym.tasks.terms import Moment
+from hpac_gym.tasks.task import CONTROL_HZ, FAILURE, OUTCOMES, RUNNING, GoalSetup, Task
+from hpac_gym.tasks.terms import Moment, require_own_names
 
 _NO_CHOICE = HandSettings()
+_JUDGED = frozenset(range(len(OUTCOMES)))
 
 
 class Episodes:
@@ -45,8 +46,8 @@ class Episodes:
         engine: physics of n worlds; None makes those of the options.
 
     Raises:
-        ParameterError: The task does not have the requested observation, or the physics' rate is no
-            multiple of the commands'.
+        ParameterError: The task does not have the requested observation, or its terms do not go
+            together, or the physics' rate is no multiple of the commands'.
 
     Attributes:
         observations: what is observed, with the observation space of one world.
@@ -195,6 +196,10 @@ class Episodes:
         state = self.simulation.state()
         self.task.watch(state, self.dt, self.simulation.engine.contacts)
         judged = self.task.judge(state, self.dt)
+        if np.shape(judged) != phase.shape or not _JUDGED.issuperset(np.asarray(judged).tolist()):
+            raise ShapeError(
+                f"judge must return {phase.shape} indices into {', '.join(OUTCOMES)}, not {judged!r}"
+            )
         self.outcome = np.array(judged, int)  # a copy: `reset` writes to it
         if failed:
             self.outcome[failed] = FAILURE
@@ -290,6 +295,17 @@ def quality(episodes: Episodes, world: int) -> float:
 def _check(task: Task, options: Options) -> None:
     """Refuse options that do not fit a task."""
     check_choice("obs", options.obs, task.observations)
+    require_own_names("the reward", task.reward_terms)
+    if task.goal_terms:
+        kind = type(task).__name__
+        if missing := [name for name in ("measure", "goal_reward") if not hasattr(task, name)]:
+            raise ParameterError(
+                f"{kind} has goal_terms but no {' and '.join(missing)}: make it a subclass of Posture"
+            )
+        if len(task.reward_terms) > 1:
+            raise ParameterError(
+                f"{kind} has goals and {len(task.reward_terms)} reward terms: one is possible, that of goal_reward"
+            )
     if options.model == CALIBRATED and task.hands != "test":
         raise ParameterError(
             f"model 'calibrated' is that of held-out hands: it needs hands='test', not {task.hands!r}"

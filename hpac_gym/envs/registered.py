@@ -87,8 +87,11 @@ def _task(row: Registered, options: dict[str, Any]) -> Task:
         )
     if steps >= limit and not task.endless:
         kind = type(task).__name__
+        what, cure = "config timetable", f"use hpac_gym.envs.HandEnv({kind}(config))"
+        if task.config is None:
+            what, cure = "an episode", f"register it with more than {steps}"
         raise ParameterError(
-            f"config timetable lasts {steps} steps: {row.id} has at most {limit - 1}; use hpac_gym.envs.HandEnv({kind}(config))"
+            f"{what} lasts {steps} steps: {row.id} has at most {limit - 1}; {cure}"
         )
     return task
 

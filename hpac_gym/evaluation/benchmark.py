@@ -240,9 +240,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the command: evaluate every cell, or check results files."""
-    if args.check:
-        return check(args.check, args.json)
     needed = {"an environment": args.env, "--policy": args.policy, "--out": args.out}
+    if args.check:
+        if given := [name for name, value in needed.items() if value]:
+            raise ResultsError(
+                f"--check judges nothing anew: it goes without {' and '.join(given)}"
+            )
+        return check(args.check, args.json)
     if missing := [name for name, given in needed.items() if not given]:
         raise ResultsError(f"{' and '.join(missing)} must be given, or --check alone")
     results = judge_all(args)

@@ -11,7 +11,7 @@ import numpy as np
 from gymnasium.spaces import Box
 from gymnasium.vector import VectorEnv
 
-from hpac_gym.errors import EnvError
+from hpac_gym.errors import EnvError, HpacError
 from hpac_gym.evaluation.options import object_of
 from hpac_gym.registration import register_all
 
@@ -66,7 +66,9 @@ def _refusing(env_id: str, options: Mapping[str, Any]) -> Iterator[None]:
         yield
     except (gymnasium.error.Error, ModuleNotFoundError) as error:
         raise EnvError(f"no environment '{env_id}': {error}") from None
-    except TypeError as error:
+    except HpacError:
+        raise
+    except (TypeError, ValueError) as error:
         reason = f"{error}".partition(" was raised from")[0]
         given = ", ".join(name for name in options if name != "render_mode")
         raise EnvError(f"no environment '{env_id}' with {given}: {reason}") from None

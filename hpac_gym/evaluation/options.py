@@ -96,7 +96,10 @@ def env_options(args: argparse.Namespace, env_id: str) -> dict[str, Any]:
         found["types"] = found.pop("grasp")
     if "object" in found and isinstance(given := object_of(found["object"]), dict):
         found["object"] = given
-    return with_set(found, args.set)
+    found = with_set(found, args.set)
+    if name := next((name for name in OF_PYTHON if name in found), None):
+        raise ParameterError(f"--set {name}: only a program in Python can give it")
+    return found
 
 
 def env_id_of(policy: str) -> str:
@@ -120,6 +123,8 @@ def env_of(args: argparse.Namespace, policy: str) -> tuple[str, dict[str, Any]]:
     return env_id, needed_options(policy, env_id) | env_options(args, env_id)
 
 
+OF_PYTHON = ("transmit", "physics")
+"""Arguments of the environments that no text can give."""
 _PYTHON = {"True": "true", "False": "false", "None": "null"}
 
 

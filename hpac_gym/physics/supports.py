@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from hpac_gym.body.objects import Support
-from hpac_gym.errors import ParameterError
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import HAND_POSITION, SceneSetup, matrix_from_quaternion
 
@@ -50,9 +49,6 @@ def support_boxes(
         setup: setup with an object that is not fixed.
         matrix: rotation matrix of a quaternion xyzw; an engine may pass its own, which rounds
             differently.
-
-    Raises:
-        ParameterError: The object would reach into the table.
     """
     rotation = matrix(setup.hand_quaternion)
     centre = HAND_POSITION + rotation @ setup.position
@@ -62,14 +58,9 @@ def support_boxes(
     floor = support.table_height
     turned = matrix(turn)
     below = np.array([centre[0], centre[1], floor])
-    height = centre[2] - reach - floor
-    if height <= 0:
-        raise ParameterError(
-            f"the underside of the object is {height:.3f} m above the table, and must be above 0 m"
-        )
     boxes = [
         SupportBox("support", np.array(half), below + turned @ place, turn)
-        for half, place in support.boxes(height)
+        for half, place in support.boxes(centre[2] - reach - floor)
     ]
     table = np.array(TABLE_HALF_EXTENTS)
     boxes.append(SupportBox("table", table, below - [0.0, 0.0, table[2]]))

@@ -63,9 +63,10 @@ def ask(policy: Policy, observation: Any, state: Any, begins: Any) -> tuple[NDAr
         PolicyError: It is no action with a state.
     """
     answer = policy.predict(observation, state, begins)
-    if not (isinstance(answer, tuple) and len(answer) == 2):
+    if not (isinstance(answer, tuple) and len(answer) == 2 and answer[0] is not None):
+        told = "(None, state)" if isinstance(answer, tuple) else type(answer).__name__
         raise PolicyError(
-            f"predict of {type(policy).__name__} must return (action, state), not {type(answer).__name__}"
+            f"predict of {type(policy).__name__} must return (action, state), not {told}"
         )
     return answer
 

@@ -142,7 +142,8 @@ def read_model(path: Path, env: gymnasium.Env[Any, Any], normalize: str | None =
         if (theirs := getattr(policy, name)) not in (ours, _channels_first(ours)):
             its, our = _briefly(theirs, ours)
             raise PolicyError(
-                f"model '{path}' has the {name} {its}, {id_of(env)} has {our}: name the model's environment with --env"
+                f"model '{path}' has the {name} {its}, {id_of(env)} has {our}: name the model's environment with --env, "
+                "its observation with --obs"
             )
     if statistics is None:
         if normalised and normalize != NONE:

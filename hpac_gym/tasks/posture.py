@@ -187,7 +187,7 @@ class Posture(Task):
 
     def _missed(self, error: Array) -> Array:
         """−1 where the largest error, over the last axis, is beyond the tolerance, 0 elsewhere."""
-        return -(error.max(axis=-1) > self.config.tolerance).astype(float)
+        return (error.max(axis=-1) <= self.config.tolerance) - 1.0  # a NaN has not reached it
 
     def report(self, now: Moment) -> dict[str, Any]:
         largest = self._error.max(axis=1)

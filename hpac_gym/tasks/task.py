@@ -57,7 +57,9 @@ class Task(ABC):
     privileged_terms: tuple[Term, ...] = ()
     """Additional terms that only a critic may observe."""
     goal_terms: tuple[Term, ...] = ()
-    """Terms of achieved and desired goals; empty for a task without goals."""
+    """Terms of achieved and desired goals, which are joint angles; empty for a task without goals.
+    One with goals is a `Posture`, and its only reward term is what `goal_reward` computes.
+    """
     viewpoint: Viewpoint = Viewpoint()
     """Viewpoint of images; it follows the wrist."""
     grip: Grip | None = None

@@ -5,7 +5,7 @@ A deployed observation contains only what a sensorless hand plus one external ca
 its own commands, what the model predicts from them, and what the camera sees. Nothing in it reads
 the simulated joints."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -14,7 +14,7 @@ from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
 from hpac_gym.body.objects import SHAPES
-from hpac_gym.errors import ShapeError
+from hpac_gym.errors import ParameterError, ShapeError
 from hpac_gym.model import JOINTS, SERVOS
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import SceneSetup, SceneState
@@ -190,12 +190,26 @@ def progress_terms(phases: tuple[str, ...], duration: float) -> tuple[Term, ...]
     )
 
 
+def require_own_names(kind: str, terms: Iterable[Term | RewardTerm]) -> None:
+    """Refuse terms of one name, of which one would be lost.
+
+    Raises:
+        ParameterError: There are such; `kind` says of what they are terms.
+    """
+    names = [term.name for term in terms]
+    if same := next((name for name in names if names.count(name) > 1), None):
+        raise ParameterError(f"{kind} has two terms {same!r}: each needs a name of its own")
+
+
 class Layout:
     """Observation vectors of n worlds, defined by a table of terms.
 
     Args:
         terms: the table.
         num_worlds: n.
+
+    Raises:
+        ParameterError: Two terms have one name.
 
     Attributes:
         space: bounds of one world's vector.
@@ -205,6 +219,7 @@ class Layout:
     changing = ("_fixed",)
 
     def __init__(self, terms: Sequence[Term], num_worlds: int) -> None:
+        require_own_names("the observation", terms)
         low = np.concatenate([np.full(len(term.labels), term.low) for term in terms])
         high = np.concatenate([np.full(len(term.labels), term.high) for term in terms])
         self.space = Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)

@@ -199,7 +199,7 @@ SETUPS = [
     ({"setup": a_setup(hand_settings={})}, ParameterError, "of type HandSettings, not {}"),
     ({"setup": a_setup(support=(0.1, 0.1))}, ParameterError, "of type Support or NoneType, not"),
     ({"setup": a_setup(fixed="no")}, ParameterError, "setup fixed must be of type bool, not 'no'"),
-    ({"setup": a_setup(rest_height=0.9)}, ParameterError, "underside of the object is -0.[0-9]+ m"),
+    ({"setup": a_setup(rest_height=0.9)}, ParameterError, "object's underside -0.[0-9]+ m above"),
     ({"setpu": None}, ParameterError, "'setpu'.*'setup'"),
     ("setup", ParameterError, "'setup'.*None or"),
     (

@@ -114,7 +114,7 @@ def test_sparse_reward_is_zero_within_the_tolerance_of_every_joint(opened):
     near[3] = 0.99 * TOLERANCE
     far[3] = 1.01 * TOLERANCE
     np.testing.assert_array_equal(
-        env.compute_reward(np.array([goal, near, far]), goal, {}), [0, 0, -1]
+        env.compute_reward(np.array([goal, near, far, goal + np.nan]), goal, {}), [0, 0, -1, -1]
     )
 
 

@@ -29,7 +29,7 @@ from hpac_gym.physics.settings import BODIES, WorldSettings
 from hpac_gym.physics.simulation import resting_object
 from hpac_gym.tasks.grasp import Grasp
 from hpac_gym.tasks.grasp_data import GRASPS, NOMINAL
-from tests.processes import python
+from tests.processes import ROOT, python
 
 OPPOSED = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.2])
 CLOSED = np.array([0.8, *HPAC.synergy_max[1:5], 1.2])
@@ -395,6 +395,14 @@ def test_a_program_may_end_with_an_engine_that_is_open():
     script = "from tests.physics.test_mujoco_engine import *; kept = filmed('box'); picture(kept)"
     done = python("-c", script)
     assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_triton_is_loaded_before_opengl(tmp_path):
+    """PyTorch for CUDA brings it, and in the other order its LLVM and Mesa's end the process."""
+    (tmp_path / "triton.py").write_text("import sys; print('mujoco.egl' in sys.modules)")
+    script = "from tests.physics.test_mujoco_engine import *; picture(filmed('box'))"
+    done = python("-c", script, PYTHONPATH=f"{ROOT}{os.pathsep}{tmp_path}")
+    assert (done.returncode, done.stdout) == (0, "False\n")
 
 
 def test_without_opengl_a_picture_is_one_clear_line(begun, monkeypatch):

@@ -3,6 +3,8 @@
 import os
 import sys
 import weakref
+from importlib import import_module
+from importlib.util import find_spec
 from typing import Any
 
 import mujoco
@@ -31,6 +33,8 @@ class Camera:
     """
 
     def __init__(self, model: mujoco.MjModel) -> None:
+        if find_spec("triton"):  # comes with PyTorch for CUDA; it and Mesa each bring an LLVM,
+            import_module("triton")  # and loaded after a picture it ends the process
         try:
             self._context = _gl_context()(640, 480)
             with self._context.as_current():
