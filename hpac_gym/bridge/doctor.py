@@ -19,6 +19,7 @@ _PATIENCE = 3.0
 """Time-out [s]; boards that reset when their port opens need up to 2 s."""
 _ATTEMPT = 0.1
 _TEXT_SHARE = 0.9
+_NOISE = "line noise: a shorter cable, away from the servo wires"
 
 _FAULT_STEPS = {
     "brownout": "the supply sagged: give the servos one of their own, 5 to 6 V, 6 A or more, ground in common; then hpac clear",
@@ -86,6 +87,8 @@ def diagnose(name: str, port: str | Callable[[], Transport], hand: Hand = HPAC) 
             what = f"an echo: what is sent comes back ({len(exchange.splitter.tail)} bytes)"
             advice = "take off a jumper between TX and RX, or switch the device's echo off"
             return Finding(name, False, what, advice)
+        if exchange.statistics.received:
+            return Finding(name, False, "a hand that answers only some messages", _NOISE)
         return _unanswered(name, exchange.splitter)
     except PortError as error:
         return Finding(
@@ -161,6 +164,6 @@ def _judge(
             name,
             False,
             f"{what}; {bad} damaged frames",
-            "line noise: a shorter cable, away from the servo wires",
+            _NOISE,
         )
     return Finding(name, True, f"{what}; round trip {1e3 * statistics.round_trip(50):.1f} ms")

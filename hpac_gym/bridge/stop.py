@@ -5,7 +5,7 @@ nothing is loaded that the stop does not need."""
 
 import argparse
 import sys
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 
 from hpac_gym.bridge.errors import LinkTimeout, PortError
 from hpac_gym.bridge.frame import Frame, FrameSplitter, encode
@@ -49,13 +49,16 @@ UNCONFIRMED = "Stop NOT CONFIRMED: switch the supply off. {}. "
 
 
 def _tell(as_json: bool, said: str) -> None:
-    """Tell that the hand is stopped: on standard error where standard output is closed or full."""
+    """Tell that the hand is stopped: on standard error where standard output is closed or full, and
+    by the exit status alone where both are.
+    """
     if sys.stdout is not None:
         try:
             return say(as_json, said, stopped=True, fault="estop")
         except OSError:
             drop_output()
-    print(said, file=sys.stderr)
+    with suppress(OSError, ValueError):
+        print(said, file=sys.stderr, flush=True)
 
 
 def stop(transport: Transport) -> None:

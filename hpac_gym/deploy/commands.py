@@ -134,7 +134,8 @@ def run(options: argparse.Namespace) -> int:
         transport = stack.enter_context(closing(open_transport(port)))  # or no log is begun
         log = stack.enter_context(Log(options.log))
         log.write(hpac_deploy=LOG_VERSION, **_head(options, observer, given))
-        wire = stack.enter_context(WireLog(wire_log(options.log)))
+        regular = options.log.is_file()  # beside /dev/null there is no wire log
+        wire = stack.enter_context(WireLog(wire_log(options.log))) if regular else None
         link = stack.enter_context(HandLink(lambda: transport, hand=hand, log=wire))
         said = f"{options.policy} on {options.port}: {env_id}, {observer.steps / 20:g} s; Ctrl-C opens the hand"
         say(options.json, said, policy=options.policy, port=options.port, env=env_id)
@@ -156,11 +157,12 @@ def run(options: argparse.Namespace) -> int:
             live=lambda figures: [show(figures) for show in live],
             note=_note,
         )
+        where = log.path
     names = ("acknowledged", "late", "lost", "refused")
     told = {name: getattr(counts, name) for name in names}
     said = ", ".join(f"{number} {name}" for name, number in told.items())
-    said = f"done: {counts.sent} commands, {said}; log in {options.log}"
-    say(options.json, said, commands=counts.sent, **told, log=str(options.log))
+    said = f"done: {counts.sent} commands, {said}; log in {where}"
+    say(options.json, said, commands=counts.sent, **told, log=str(where))
     return 0
 
 

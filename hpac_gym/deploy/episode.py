@@ -4,10 +4,10 @@ Whatever happens, the hand opens slowly and is disarmed before anything else is 
 
 import json
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import asdict
-from itertools import count
+from itertools import chain, count, takewhile
 from pathlib import Path
 from typing import Any
 
@@ -57,6 +57,14 @@ class Log(Lines):
                     _keep(path)
         super().__init__(path or os.devnull, "a")
 
+    @property
+    def path(self) -> Path:
+        """Where it is: a later log of its name has moved it."""
+        given = Path(self._path)
+        here = os.fstat(self._file.fileno())
+        names = takewhile(Path.exists, chain([given], _numbered(given)))
+        return next((name for name in names if os.path.samestat(name.stat(), here)), given)
+
     def write(self, **line: Any) -> None:
         """Write a line.
 
@@ -68,10 +76,13 @@ class Log(Lines):
         )
 
 
+def _numbered(path: Path) -> Iterator[Path]:
+    return (path.with_stem(f"{path.stem}-{number}") for number in count(1))
+
+
 def _keep(path: Path) -> None:
     """Move a log and its wire log out of the way, to `NAME-1` or the next free number."""
-    numbered = (path.with_stem(f"{path.stem}-{number}") for number in count(1))
-    free = next(new for new in numbered if not (new.exists() or wire_log(new).exists()))
+    free = next(new for new in _numbered(path) if not (new.exists() or wire_log(new).exists()))
     for old, new in ((path, free), (wire_log(path), wire_log(free))):
         if old.is_file():
             old.rename(new)

@@ -14,17 +14,19 @@ from hpac_gym.deploy.commands import object_of
 from hpac_gym.deploy.episode import LOG_VERSION
 from hpac_gym.deploy.errors import DeployError
 from hpac_gym.deploy.observer import Observer
+from hpac_gym.errors import HpacError
 from hpac_gym.evaluation.environment import make_env
 from hpac_gym.figures import new_figure, require, save
 from hpac_gym.model import SERVOS
-from hpac_gym.model.checks import Array
+from hpac_gym.model.checks import Array, as_finite_vector, as_unit_vector
 from hpac_gym.output import read_text
 
 APART_M = 0.01
 """Distance from which on the object is told to be elsewhere than simulated [m]."""
 
 _HEAD = {"policy", "env_id", "grasp", "object", "port"}
-_STEP = {"t", "phase", "position", "quaternion", "action", "sent", "hand"}
+_SIZES = {"position": 3, "quaternion": 4, "sent": len(SERVOS), "hand": len(SERVOS)}
+_STEP = {"t", "phase", "action", *_SIZES}
 """What is read of a log's first line and of a step."""
 
 
@@ -108,12 +110,31 @@ def read_log(path: Path) -> tuple[dict[str, Any], list[dict[str, Any]], str]:
         needed = _HEAD if number == 1 else _STEP if "step" in row else set()
         if missing := needed - row.keys():
             raise DeployError(f"log {path}, line {number}: without {', '.join(sorted(missing))}")
+        try:
+            _require_values(row)
+        except HpacError as error:
+            raise DeployError(f"log {path}, line {number}: {error}") from None
         rows.append(row)
     steps = [row for row in rows[1:] if "step" in row]
     if not steps:
         raise DeployError(f"log {path}: it has no steps")
     end = next((row["end"] for row in rows[1:] if "end" in row), "cut short")
     return rows[0], steps, end
+
+
+def _require_values(row: dict[str, Any]) -> None:
+    """Refuse a first line or a step with values of other kinds."""
+    if "hpac_deploy" in row:
+        if not isinstance(row["env_id"], str):
+            raise DeployError(f"env_id {row['env_id']!r} is no text")
+        if not isinstance(options := row.get("options", {}), dict):
+            raise DeployError(f"options {options!r} are not those of an environment")
+    elif "step" in row:
+        as_finite_vector([row["t"]], 1, "t")
+        as_finite_vector(row["action"], np.size(row["action"]), "action")
+        for name, size in _SIZES.items():
+            as_finite_vector(row[name], size, name)
+        as_unit_vector(row["quaternion"], 4, "quaternion")
 
 
 def simulation(

@@ -29,6 +29,7 @@ from hpac_gym.tasks.grasp_type_data import (
     GRASP_TYPES,
     TYPE_SPLITS,
     TYPE_TERMS,
+    GraspType,
     chosen_types,
 )
 from hpac_gym.tasks.options import Option, config_option
@@ -195,9 +196,13 @@ class GraspByType(Grasp):
         self._types = np.full(num_worlds, "", dtype=object)
         return super().prepare(num_worlds, noise)
 
+    def draw(self, rng: np.random.Generator) -> GraspType:
+        """Draw the type of an episode."""
+        return self.kinds[rng.integers(len(self.kinds))]
+
     def setup(self, rng: np.random.Generator, hand: Hand = HPAC) -> SceneSetup:
         """Draw one episode: its type, its object, and the object's offset from the type's data."""
-        start = self.kinds[rng.integers(len(self.kinds))].start
+        start = self.draw(rng).start
         variants = list(start.held_out) if self.objects == "test" else [NOMINAL]
         variant = start.variant(variants[rng.integers(len(variants))])
         drawn = setup_of_grasp(start, variant, rng, hand, self.config.spread)

@@ -32,6 +32,12 @@ def refusing(_data):
     return encode(Frame("ack", 1, 0, {"acked": 1, "reason": 12, "servo": 255, "state": 0}))
 
 
+def hello_alone(data):
+    """HELLO is answered as by a hand, nothing else."""
+    ((_, frame),) = FrameSplitter().push(data)
+    return encode(HELLO_OF_A_HAND) if frame.name == "hello" else b""
+
+
 def without_status(data):
     """HELLO is answered as by a hand, everything else by an ACK, of reason `type`."""
     ((_, frame),) = FrameSplitter().push(data)

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from contextlib import ExitStack, nullcontext
+from pathlib import Path
 from types import SimpleNamespace
 from unittest.mock import Mock
 
@@ -32,7 +33,14 @@ from hpac_gym.bridge.frame import Frame, encode
 from hpac_gym.bridge.hands import config_of, default_config
 from hpac_gym.bridge.protocol import Fault, State
 from hpac_gym.model import HPAC, SERVOS, ServoCommand, hand_to_toml
-from tests.bridge.devices import Device, of_another_version, of_zeros, refusing, without_status
+from tests.bridge.devices import (
+    Device,
+    hello_alone,
+    of_another_version,
+    of_zeros,
+    refusing,
+    without_status,
+)
 from tests.options import called
 from tests.processes import python, started, wait_for
 
@@ -163,8 +171,9 @@ def test_doctor_names_the_hand_that_a_firmware_was_built_for(slower_hand, tmp_pa
         (of_another_version, "protocol 9", "flash"),
         (refusing, "HELLO with an ACK (length)", "flash"),
         (without_status, "STATUS with an ACK (type)", "flash"),
+        (hello_alone, "answers only some messages", "line noise"),
     ],
-    ids=["silence", "echo", "text", "noise", "version", "ack", "status"],
+    ids=["silence", "echo", "text", "noise", "version", "ack", "status", "some"],
 )
 def test_doctor_tells_devices_apart_and_names_the_first_step(reply, what, advice):
     finding = diagnose("here", lambda: Device(VirtualHand(), reply))
@@ -200,6 +209,12 @@ def test_an_estop_is_sent_and_told_whatever_standard_output_is(output, host_boar
         assert not host_board.pulses().any()
     said = "stopped: no pulses, fault estop; `hpac clear` leaves it\n"
     assert (done.returncode, done.stderr) == (0, said)
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
+def test_an_estop_that_nothing_can_tell_of_ends_with_status_0(host_board):
+    command = f"exec {sys.executable} -m hpac estop --port {host_board.port} > /dev/full 2>&1"
+    assert subprocess.run(command, shell=True, check=False).returncode == 0
 
 
 RUNNING = {

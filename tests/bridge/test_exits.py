@@ -32,6 +32,7 @@ from hpac_gym.bridge import (
     HandshakeError,
     LinkTimeout,
     PortError,
+    Reset,
     StoppedError,
     UnconfirmedWarning,
     VirtualHand,
@@ -41,7 +42,7 @@ from hpac_gym.bridge.errors import LogWarning
 from hpac_gym.bridge.frame import Frame, decode, encode
 from hpac_gym.bridge.hands import VirtualTransport
 from hpac_gym.bridge.interrupts import interrupts
-from hpac_gym.model import ServoCommand
+from hpac_gym.model import HPAC, ServoCommand
 from hpac_gym.virtual.wire import Faults
 from tests.bridge.devices import LOST
 from tests.processes import python, started, wait_for
@@ -206,7 +207,7 @@ def test_a_program_keeps_its_own_signal_handlers(virtual_hand):
 PROGRAM = """
 import os, signal, sys, time, warnings
 from hpac_gym.bridge import *
-from hpac_gym.model import ServoCommand
+from hpac_gym.model import HPAC, ServoCommand
 signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGTERM, signal.SIG_DFL)
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
@@ -519,6 +520,48 @@ def test_a_fault_that_holds_ends_with_the_session(virtual_hand):
         virtual_hand.run(0.7)
         link.move(POSE)
     assert not virtual_hand.pulses().any()
+
+
+def require_relaxed(hand, fault):
+    """The hand is at rest, where CLEAR would have left it closed, without pulses and in its fault."""
+    assert not hand.pulses().any()
+    link = HandLink(hand.connect)
+    assert link.connect().state == "fault"
+    status = link.status()
+    assert status.fault == fault
+    np.testing.assert_allclose(
+        status.servo, np.clip(0.0, HPAC.servo_min, HPAC.servo_max), atol=1e-3
+    )
+
+
+def test_a_hand_that_relaxes_in_a_fault_is_waited_for_and_left_in_it(virtual_hand):
+    with pytest.raises(FaultError, match="watchdog"), HandLink(virtual_hand.connect) as link:
+        link.arm()
+        link.move(POSE)
+        link.wait()
+        virtual_hand.run(0.5)
+        link.move(POSE)
+    require_relaxed(virtual_hand, "watchdog")
+
+
+def test_a_program_that_is_refused_lets_the_hand_of_another_relax(virtual_hand, link):
+    link.arm()
+    link.move(POSE)
+    link.wait()
+    virtual_hand.run(0.5)
+    with pytest.raises(FaultError, match="watchdog"), HandLink(virtual_hand.connect) as other:
+        assert virtual_hand.pulses().all()
+        other.arm()
+    require_relaxed(virtual_hand, "watchdog")
+    with pytest.warns(UnconfirmedWarning, match="another program has greeted the hand"):
+        link.close()
+
+
+def test_a_reset_that_stays_disarmed_until_clear_does_so_for_every_program():
+    hand = VirtualHand(reset=Reset.brownout)
+    for _ in range(2):
+        with pytest.raises(FaultError, match="brownout"), HandLink(hand.connect) as link:
+            link.arm()
 
 
 def test_the_next_session_ends_a_fault_that_holds(left_holding):

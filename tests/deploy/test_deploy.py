@@ -451,6 +451,20 @@ def test_every_log_has_a_wire_log_of_its_own_which_is_kept_without_it(tmp_path):
         assert (tmp_path / "n-1.wire.jsonl").read_text() == "frames"
 
 
+def test_a_log_says_where_a_later_one_of_its_name_has_moved_it(tmp_path):
+    given = tmp_path / "n.jsonl"
+    with Log(given) as first, Log(given) as second, Log(given) as third:
+        places = [log.path.name for log in (first, second, third)]
+    assert places == ["n-1.jsonl", "n-2.jsonl", "n.jsonl"]
+
+
+@pytest.mark.skipif(not Path("/dev/null").exists(), reason="no device that keeps nothing")
+def test_beside_a_device_there_is_no_wire_log(capsys):
+    status, out = told(capsys, *WORDS, *VIRTUAL, "--log", "/dev/null")
+    assert (status, out.out.split("; log in ")[1]) == (0, "/dev/null\n")
+    assert not Path("/dev/null.wire.jsonl").exists()
+
+
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
 def test_a_full_disk_of_the_wire_log_alone_is_a_warning(path, capsys):
     path.with_name("log.wire.jsonl").symlink_to("/dev/full")
@@ -733,6 +747,13 @@ def test_an_object_that_moved_is_told(log, capsys):
 HEAD = '{"hpac_deploy": 1, "env_id": "", "grasp": null, "object": "", "policy": "", "port": ""}'
 
 
+def step(**change):
+    """A step of a log."""
+    zeros = {name: [0.0] * size for name, size in replay._SIZES.items()}
+    row = {"step": 0, "t": 0, "phase": "close", "action": [0.0] * 6, **zeros}
+    return json.dumps(row | {"quaternion": [0, 0, 0, 1], **change})
+
+
 def test_a_log_that_was_cut_short_is_read(log, capsys):
     text = log.read_text()
     log.write_text(text[: len(text) // 2])
@@ -754,8 +775,16 @@ def test_a_log_that_was_cut_short_is_read(log, capsys):
             f'{HEAD}\n{{}}\n{{"step": 0, "t": 0, "phase": "close", "quaternion": [0, 0, 0, 1]}}\n',
             "line 3: without action, hand, position, sent",
         ),
+        (HEAD.replace('""', "null", 1), "line 1: env_id None is no text"),
+        (f'{HEAD[:-1]}, "options": [1]}}', "line 1: options [1] are not those of an environment"),
+        (f"{HEAD}\n{step(position=None)}", "line 2: position must have shape (..., 3), not ()"),
+        (f"{HEAD}\n{step(action='abc')}", "line 2: action must be an array of numbers"),
+        (
+            f"{HEAD}\n{step(quaternion=[0] * 4)}",
+            "line 2: quaternion = [0.0, 0.0, 0.0, 0.0] of norm 0",
+        ),
     ],
-    ids=range(7),
+    ids=range(12),
 )
 def test_what_is_no_log_is_one_line(path, capsys, text, says):
     path.write_text(text)
