@@ -3,15 +3,17 @@ run, metrics for TensorBoard."""
 
 import csv
 import sys
+import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 from tqdm import tqdm
 
 from agents import RunError
-from hpac_gym.output import write_text
+from hpac_gym.output import write_text, writing
 
 CURVE = "progress.csv"
 BOARD = "tensorboard"
@@ -19,6 +21,15 @@ COLUMNS = ("episodes", "seconds", "success_rate", "window", "entropy")
 ROW_EVERY = 500  # trials per row of the learning curve
 WINDOW = 1_000  # trials over which the success rate is averaged
 LINE_EVERY_S = 30.0  # interval of progress lines if standard error is not a terminal [s]
+
+
+def _in_thread(error: Any, before: Callable[[Any], Any] = threading.excepthook) -> None:
+    """Tell an error of a thread, unless it is that of TensorBoard, whose errors `Progress` raises."""
+    if not type(error.thread).__module__.startswith("tensorboard"):
+        before(error)
+
+
+threading.excepthook = _in_thread
 
 
 class Progress:
@@ -30,6 +41,9 @@ class Progress:
         resumed.
         time_limit: longest time of the training from now on [s].
         clock: function that returns the time [s].
+
+    Raises:
+        OutputError: The folder cannot be written, or the disk is full.
 
     Attributes:
         done, env_steps: trials and control steps so far, over all worlds.
@@ -54,7 +68,8 @@ class Progress:
         self.env_steps = env_steps
         self.stopped_by = None
         self._curve = folder / CURVE
-        self._board = SummaryWriter(folder / BOARD, purge_step=done + 1)
+        with writing(folder / BOARD):
+            self._board = SummaryWriter(folder / BOARD, purge_step=done + 1)
         self._first = done
         self._most = episodes
         self._most_steps = most_steps
@@ -107,16 +122,21 @@ class Progress:
         self._show()
 
     def close(self) -> None:
-        """Close the progress bar and the file for TensorBoard."""
+        """Close the progress bar and the file for TensorBoard.
+
+        Raises:
+            OutputError: The disk is full.
+        """
         self._bar.close()
-        self._board.close()
+        with writing(self._board.log_dir):
+            self._board.close()
 
     def write_row(self, metrics: Mapping[str, float]) -> None:
         """Write a row of the learning curve, and all metrics for TensorBoard, unless there was no
         trial since the last one.
 
         Raises:
-            RunError: The file cannot be written, or the disk is full.
+            OutputError: The file cannot be written, or the disk is full.
         """
         if self.done == self._written:
             return
@@ -128,14 +148,12 @@ class Progress:
             len(self._held),
             round(metrics.get("entropy", float("nan")), 3),
         )
-        try:
-            with self._curve.open("a", newline="") as file:
-                csv.writer(file).writerows([row] if file.tell() else [COLUMNS, row])
-        except OSError as error:
-            raise RunError(f"cannot write '{self._curve}': {error.strerror or error}") from error
-        for name, value in {"success_rate": self.success_rate, **metrics}.items():
-            self._board.add_scalar(f"train/{name}", value, self.done)
-        self._board.flush()
+        with writing(self._curve), self._curve.open("a", newline="") as file:
+            csv.writer(file).writerows([row] if file.tell() else [COLUMNS, row])
+        with writing(self._board.log_dir):
+            for name, value in {"success_rate": self.success_rate, **metrics}.items():
+                self._board.add_scalar(f"train/{name}", value, self.done)
+            self._board.flush()
 
     def _show(self) -> None:
         elapsed = self._clock() - self._started

@@ -3,6 +3,7 @@
 """
 
 from collections.abc import Callable
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ class Recorded(Source):
         steps: control steps of as many trials as `step` returns, on average.
         tried: the columns of the first `done` trials by name, which the run's checkpoints leave
             out.
+        hashes: of the trials of each run, by its folder.
 
     Raises:
         RunError: A run is missing, damaged or of other episodes than the recipe, or there are too
@@ -33,6 +35,10 @@ class Recorded(Source):
     def __init__(self, recipe: Recipe, done: int = 0) -> None:
         self.observed, self.deployed, self.phases = sizes_of(recipe)
         runs = [self._run(Path(folder), recipe) for folder in recipe.trials_of]
+        self.hashes = {
+            folder: sha256(b"".join(column.tobytes() for column in trials)).hexdigest()
+            for folder, (trials, _) in zip(recipe.trials_of, runs, strict=True)
+        }
         columns = [
             np.concatenate(parts) for parts in zip(*(trials for trials, _ in runs), strict=True)
         ]

@@ -19,6 +19,8 @@ import numpy as np
 
 from agents import POLICY, RecipeError, RunError
 from agents.curves import draw_trials
+from agents.progress import CURVE
+from agents.runs import RUN
 from hpac_gym.command import command_parser, minutes, run, whole_number
 from hpac_gym.evaluation.evaluate import evaluate
 from hpac_gym.evaluation.options import DEFAULT_ENV, env_id_of
@@ -118,6 +120,11 @@ def race(runs: Path, learners: Sequence[str], number: int, limit: float) -> Iter
         raise RecipeError(f"unknown learner '{min(unknown)}': known are {', '.join(known)}")
     for name, seed in product(learners or known, range(number)):
         out = runs / f"{name}-{seed}"
+        again = "remove it to train it again; its row is left out"
+        begun = any((out / file).exists() for file in (RUN, CURVE))
+        if not (out / POLICY).exists() and begun:
+            print(f"'{out}' was interrupted before its first policy: {again}", file=sys.stderr)
+            continue
         if not (out / POLICY).exists() and name == "grasp":
             if train.main(
                 ["grasp", "--out", str(out), "--seed", str(seed), "--time-limit", str(limit)]
@@ -134,8 +141,7 @@ def race(runs: Path, learners: Sequence[str], number: int, limit: float) -> Iter
         if seconds < 60 * limit and about["episodes"] < about["settings"].get(
             "episodes", float("inf")
         ):
-            told = f"'{out}' was interrupted after {seconds:.0f} s: remove it to train it again; its row is left out"
-            print(told, file=sys.stderr)
+            print(f"'{out}' was interrupted after {seconds:.0f} s: {again}", file=sys.stderr)
             continue
         yield str(out / POLICY)
 

@@ -87,6 +87,11 @@ def train(
         remove_run(out)
     elif checkpoint := latest_checkpoint(out):
         state |= load_checkpoint(checkpoint, learner, first.tried)
+        begun = state.get("hashes", first.hashes)  # older checkpoints have none
+        for folder, told in first.hashes.items():
+            if begun.get(folder) != told:
+                words = f"'{folder}' no longer has the trials that the run in '{out}' began with"
+                raise RunError(words)
     write_text(out / RUN, json.dumps(asdict(recipe), indent=2) + "\n")
     drop_rows_after(out / CURVE, done)
     target = target_of(recipe.env_id, **recipe.options, engine=recipe.set_ups[0].partition("/")[0])
@@ -100,9 +105,8 @@ def train(
             source.start(training_seed(recipe.seed, learner.trials.count, recipe.num_envs))
 
     def save() -> None:
-        save_checkpoint(
-            out, learner, {"seconds": progress.seconds, "env_steps": progress.env_steps}
-        )
+        now = {"seconds": progress.seconds, "env_steps": progress.env_steps}
+        save_checkpoint(out, learner, now | {"hashes": dict(first.hashes)})
         about = {
             **target,
             "algorithm": "one-step SAC",

@@ -77,6 +77,7 @@ class Source(Protocol):
         phases: number of phases of the task.
         steps: control steps that the last `step` took, over all worlds.
         tried: columns of trials that the checkpoints of a run leave out, by name.
+        hashes: of the trials of finished runs, by their folders.
     """
 
     observed: int
@@ -84,6 +85,7 @@ class Source(Protocol):
     phases: int
     steps: int
     tried: Mapping[str, np.ndarray] = MappingProxyType({})
+    hashes: Mapping[str, str] = MappingProxyType({})
 
     def start(self, seed: int) -> None:
         """Begin new episodes, if they are begun here."""

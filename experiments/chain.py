@@ -6,7 +6,6 @@ scripted closure runs the same episodes with each model. The truth is simulated:
 zero of the servo, the geometry of all hands is the nominal one, and camera and friction are those of
 `experiments.reference`."""
 
-import json
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -17,7 +16,7 @@ import numpy as np
 
 from experiments.held_out import truth as held_out_truth, with_zeros
 from experiments.populations import geometry, varied_hand
-from experiments.results import add_workers_and_out, percent, write_results
+from experiments.results import add_workers_and_out, percent, read_results, write_results
 from experiments.rig import Rig
 from hpac_gym.body.hands import hand_set
 from hpac_gym.calibration.identification import identify
@@ -35,7 +34,7 @@ from hpac_gym.model import HPAC, SERVOS, Hand, joints_from_synergy, load_hand
 from hpac_gym.model.calibration import Calibration
 from hpac_gym.model.maps import CommandMap
 from hpac_gym.model.settled import settled_joints_from_servo
-from hpac_gym.output import OutputError, markdown, read_text
+from hpac_gym.output import markdown
 from hpac_gym.physics.stand import HAND
 from hpac_gym.registration import GRASP
 
@@ -220,7 +219,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--draw", type=Path, metavar="PNG", help="only draw the cells of --out")
     arguments = parser.parse_args(argv)
     if arguments.draw:
-        draw(json.loads(read_text(arguments.out, "cells", OutputError))["cells"], arguments.draw)
+        draw(read_results(arguments.out, "cells")["cells"], arguments.draw)
         return 0
     wanted = [(kind, seed) for kind in POPULATIONS for seed in range(arguments.hands)]
     pairs = list(shared(_calibrated, wanted, arguments.workers, "calibrating"))

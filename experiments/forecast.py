@@ -8,7 +8,6 @@ other hands of the same workshop.
 
 Files and rows are kept, and a later run continues them."""
 
-import json
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -18,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from experiments.chain import slack_hand, swept
-from experiments.results import add_out, write_results
+from experiments.results import add_out, read_results, write_results
 from hpac_gym.calibration.calibrate import named
 from hpac_gym.calibration.identification import identify
 from hpac_gym.calibration.posterior import read_draws, write_draws
@@ -152,7 +151,7 @@ def main(argv: list[str] | None = None) -> int:
     arguments = parser.parse_args(argv)
     text: dict[str, Any] = {"without_a_sweep": {}, "rows": []}
     if arguments.out.exists():
-        text = json.loads(arguments.out.read_text())
+        text = read_results(arguments.out, *text)
     rows = text["rows"]
     without = text["without_a_sweep"]
     known = {row["seed"] for row in rows}

@@ -19,7 +19,7 @@ import numpy as np
 
 from agents.gentle import Hands
 from agents.gentle_rule import CLOSING, MOVES, PER_RADIAN, RULE, STEPS, UNTOLD
-from experiments.results import write_results
+from experiments.results import read_results, write_results
 from hpac_gym.command import command_parser, run, whole_number
 from hpac_gym.evaluation.episodes import run_episodes, worlds
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
@@ -38,6 +38,7 @@ from hpac_gym.tasks.task import SUCCESS
 from hpac_gym.tasks.terms import GRASP_CENTRE, LENGTH_UNIT
 
 RESULTS = Path(__file__).parents[1] / "docs" / "results" / "experiments" / "gentle.json"
+SET_UP = "mujoco/light"
 WORLDS = 128
 FREE = 10
 """Control steps in which no digit touches yet."""
@@ -258,7 +259,7 @@ def main(argv: list[str] | None = None) -> int:
     parser = command_parser("experiments.gentle", __doc__)
     parser.add_argument("what", choices=("rows", "closures", "judge", "join"), help="what to do")
     parser.add_argument("policies", nargs="*", help="of `judge`: gentle, or policy files")
-    parser.add_argument("--set-up", choices=SET_UPS, default="mujoco/light", help="engine and body")
+    parser.add_argument("--set-up", choices=SET_UPS, default=SET_UP, help="engine and body")
     parser.add_argument("--untold", action="store_true", help="the crush limit is not told")
     parser.add_argument("--episodes", type=whole_number(1), default=384, help="how many")
     parser.add_argument(
@@ -271,13 +272,17 @@ def main(argv: list[str] | None = None) -> int:
     arguments = parser.parse_args(argv)
     if (arguments.what == "judge") != bool(arguments.policies):
         parser.error("judge, and it alone, takes policies")
-    out = writable_folder(arguments.out)
-    words = f"gentle {shlex.join(sys.argv[1:] if argv is None else argv)}"
     engine, body = arguments.set_up.split("/")
     told = not arguments.untold
+    if arguments.what in ("closures", "join") and (arguments.set_up != SET_UP or not told):
+        parser.error("rows and judge alone take --set-up and --untold")
+    if arguments.what == "rows" and engine != "mujoco":
+        parser.error(f"--set-up is '{arguments.set_up}': rows run in MuJoCo alone")
+    out = writable_folder(arguments.out)
+    words = f"gentle {shlex.join(sys.argv[1:] if argv is None else argv)}"
     where = f"{engine}_{body}{'' if told else '_untold'}"
     if arguments.what == "join":
-        parts = {file.stem: json.loads(file.read_text()) for file in sorted(out.glob("*.json"))}
+        parts = {file.stem: read_results(file, "command") for file in sorted(out.glob("*.json"))}
         if not parts:
             raise OutputError(f"nothing to join: no results in '{out}'")
         _write(RESULTS, words, parts)

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from hpac_gym.command import whole_number
 from hpac_gym.evaluation.statistics import paired_difference, success_counts
-from hpac_gym.output import markdown, writable_file, write_text
+from hpac_gym.output import OutputError, markdown, read_text, writable_file, write_text
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,3 +160,20 @@ def write_results(path: Path, words: str, **data: object) -> None:
     """
     told = {"command": f"python -m experiments.{words}", **data}
     write_text(path, json.dumps(told, indent=1, default=asdict) + "\n")
+
+
+def read_results(path: Path, *names: str) -> dict[str, Any]:
+    """The data that `write_results` wrote, which has at least these names.
+
+    Raises:
+        OutputError: The file cannot be read, is damaged, or lacks a name.
+    """
+    try:
+        data = json.loads(read_text(path, "results", OutputError))
+    except (ValueError, RecursionError):
+        data = None
+    if not isinstance(data, dict) or set(names) - set(data):
+        raise OutputError(
+            f"results '{path}' are damaged, or of another experiment: they lack {', '.join(names)}"
+        )
+    return data

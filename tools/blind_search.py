@@ -23,6 +23,7 @@ from hpac_gym.evaluation.statistics import rate_text
 from hpac_gym.evaluation.workers import shared
 from hpac_gym.model import SERVO_INDEX, SERVOS
 from hpac_gym.output import write_text
+from hpac_gym.physics.simulation import ENGINES
 
 ENV_ID = "HPAC-Grasp-v0"
 TARGET = Path(__file__).with_name("grasp_closures.csv")
@@ -158,9 +159,15 @@ def main(argv: list[str] | None = None) -> int:
         default=400,
         help=f"number of seeds, from {HELD_OUT_SEED} on",
     )
-    parser.add_argument("--engine", default="pybullet", help="physics engine")
+    parser.add_argument(
+        "--engine", choices=ENGINES, default="pybullet", help="physics engine; of --blind"
+    )
     parser.add_argument("--workers", type=whole_number(1), default=1, help="number of processes")
     args = parser.parse_args(argv)
+    if args.engine != "pybullet" and not args.blind:
+        parser.error(
+            f"--engine is '{args.engine}': the closures of {TARGET.name} are of pybullet alone"
+        )
     seeds = range(HELD_OUT_SEED, HELD_OUT_SEED + args.seeds)
     find = search_blind if args.blind else search_all
     find(seeds, args.engine, args.workers)

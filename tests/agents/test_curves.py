@@ -1,10 +1,13 @@
 import json
+import threading
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from agents.curves import read_curve, report
 from agents.progress import Progress, drop_rows_after
+from hpac_gym.output import OutputError
 
 
 @pytest.fixture
@@ -40,6 +43,20 @@ def test_a_curve_whose_head_a_full_disk_cut_begins_anew_when_it_is_resumed(half,
     progress.write_row({})
     progress.close()
     assert read_curve(tmp_path / "progress.csv")["episodes"] == [600]
+
+
+@pytest.mark.filterwarnings("error")  # of a thread that ends with an exception
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
+def test_a_disk_that_is_full_under_tensorboard_is_told_in_one_error(tmp_path):
+    threads = set(threading.enumerate())
+    progress = Progress(tmp_path, 600, 10**9)
+    (events,) = (tmp_path / "tensorboard").iterdir()
+    events.unlink()
+    events.symlink_to("/dev/full")
+    with pytest.raises(OutputError, match=r"cannot write '.*tensorboard': No space left on device"):
+        progress.add([True] * 600, 1, lambda: {"entropy": -0.5})
+    for thread in set(threading.enumerate()) - threads:
+        thread.join()
 
 
 def test_a_report_draws_what_there_is(curve):

@@ -111,6 +111,22 @@ def test_the_table_of_the_race_trains_who_is_missing_and_judges_all(tmp_path, mo
         reproduce.main([*words, "--learner", "td3"])
 
 
+@pytest.mark.parametrize(("name", "left"), [("ppo", "progress.csv"), ("grasp", "run.json")])
+def test_a_run_that_was_killed_before_its_first_policy_is_left_out_and_the_table_goes_on(
+    name, left, tmp_path, capsys
+):
+    for seed in range(2):
+        (tmp_path / f"{name}-{seed}").mkdir()
+    (tmp_path / f"{name}-0" / left).touch()
+    copyfile(SHIPPED["grasp"], tmp_path / f"{name}-1" / "policy.hpac")
+    files = list(reproduce.race(tmp_path, [name], 2, 15.0))
+    assert files == [str(tmp_path / f"{name}-1" / "policy.hpac")]
+    (told,) = capsys.readouterr().err.splitlines()
+    assert told.endswith(
+        f"{name}-0' was interrupted before its first policy: remove it to train it again; its row is left out"
+    )
+
+
 def test_ctrl_c_in_a_training_ends_the_table(tmp_path, monkeypatch, capsys):
     begun = []
     monkeypatch.setattr(train, "main", lambda words: begun.append(words) or INTERRUPTED)

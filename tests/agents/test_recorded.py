@@ -113,6 +113,26 @@ def test_a_killed_and_resumed_run_ends_with_the_same_policy_though_its_checkpoin
     assert len(hashes) == 1
 
 
+@pytest.mark.parametrize("change", ["grown", "replaced"])
+def test_a_resumed_run_learns_from_no_other_trials_than_it_began_with(runs, tmp_path, change):
+    for name in SET_UPS:
+        shutil.copytree(runs / name, tmp_path / name)
+    out = tmp_path / "run"
+    with killed_at_the_second(train, "save_checkpoint"):
+        train_here(*TOGETHER, "--trials-of", *(tmp_path / name for name in SET_UPS), "--out", out)
+    path = runs_of.latest_checkpoint(tmp_path / "both") / "arrays.npz"
+    with np.load(path) as file:
+        arrays = dict(file)
+    for name in COLUMNS:
+        rows = arrays[name]
+        arrays[name] = np.concatenate([rows, rows[:1]]) if change == "grown" else rows[::-1]
+    np.savez(path, **arrays)
+    before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
+    with pytest.raises(train.RunError, match=r"'.*/both' no longer has the trials that the run in"):
+        train_here("--resume", "--out", out)
+    assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
+
+
 def other_closures(folder):
     policy = read_policy(folder / "policy.hpac")
     write_policy(

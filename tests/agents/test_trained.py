@@ -40,6 +40,13 @@ def test_it_says_how_it_was_made(name, env_id, trials):
     assert about["made_for"]["control_hz"] == 20
 
 
+def test_the_changelog_counts_them():
+    words = {6: "six", 7: "seven", 8: "eight", 9: "nine", 10: "ten", 11: "eleven", 12: "twelve"}
+    everywhere = len(SHIPPED) + len(list(FOLDER.glob("*.hpac")))
+    told = f"{words[everywhere]} trained policies, of which {words[len(SHIPPED)]} are in the wheel"
+    assert told in (FOLDER.parents[1] / "CHANGELOG.md").read_text(encoding="utf-8")
+
+
 @pytest.mark.processor
 @pytest.mark.parametrize(
     ("name", "engine", "episodes", "held"),

@@ -2,7 +2,12 @@
 
 import json
 
+import pytest
+
+from experiments import chain, forecast
 from experiments.forecast import OUT, SWEEP, WIDTH, summary, table
+from hpac_gym.command import run
+from tests.options import refused
 from tests.test_docs import text_of
 
 
@@ -30,3 +35,15 @@ def test_the_committed_counts_are_those_of_the_rows():
     assert written["cells"] == json.loads(
         json.dumps(summary(written["rows"], written["without_a_sweep"]))
     )
+
+
+@pytest.mark.parametrize("data", [b"", b'{"cells": [', b"[]", b'{"command": ""}', b"\xff"])
+@pytest.mark.parametrize("experiment", [forecast, chain])
+def test_a_damaged_file_is_refused_in_one_line_and_kept(experiment, data, tmp_path, capsys):
+    path = tmp_path / "results.json"
+    path.write_bytes(data)
+    words = ["--out", str(path)]
+    if experiment is chain:
+        words += ["--draw", str(tmp_path / "chain.png")]
+    assert "results.json" in refused(capsys, lambda: run(lambda: experiment.main(words)))
+    assert (path.read_bytes(), list(tmp_path.iterdir())) == (data, [path])

@@ -95,10 +95,22 @@ def test_a_policy_is_trained_written_and_judged(tmp_path, monkeypatch):
         (["join"], "nothing to join: no results in"),
         (["judge"], "judge, and it alone, takes policies"),
         (["rows", "--episodes", "0"], "'0' is not a whole number of at least 1"),
+        (["rows", "--set-up", "pybullet/twin"], "--set-up is 'pybullet/twin': rows run in MuJoCo"),
+        (
+            ["closures", "--set-up", "mujoco/twin"],
+            "rows and judge alone take --set-up and --untold",
+        ),
+        (["closures", "--untold"], "rows and judge alone take --set-up and --untold"),
+        (["join", "--untold"], "rows and judge alone take --set-up and --untold"),
+        (["join"], "damaged.json' are damaged, or of another experiment"),
     ],
 )
-def test_what_gives_no_results_changes_none(words, message, tmp_path, capsys):
+def test_what_gives_no_results_changes_none(words, message, tmp_path, capsys, monkeypatch):
     before = experiment.RESULTS.read_bytes()
+    if "damaged" in message:
+        (tmp_path / "damaged.json").write_text('{"command": ')
+    for name in ("rows", "closures"):
+        monkeypatch.setattr(experiment, name, lambda *_: pytest.fail("it runs episodes"))
     out = ["--out", str(tmp_path)]
     assert message in refused(capsys, lambda: run(lambda: experiment.main([*words, *out])))
     assert experiment.RESULTS.read_bytes() == before
