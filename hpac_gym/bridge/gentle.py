@@ -31,7 +31,9 @@ def open_hand(link: HandLink) -> None:
     """Open slowly, from wherever the hand is, if it is armed. Errors as of `HandLink.move`."""
     link.exchange.on_ack = None
     link.exchange.refused = None
-    if link.status().state == "armed":
+    state = link.status().state
+    link.listen(0.0, "not opened")  # a fault is told, and not cleared by who disarms next
+    if state == "armed":
         hand = link.board.built_for
         go(link, np.clip(0.0, hand.servo_min, hand.servo_max))
 

@@ -40,6 +40,7 @@ from hpac_gym.bridge import (
 )
 from hpac_gym.bridge.errors import LogWarning
 from hpac_gym.bridge.frame import Frame, decode, encode
+from hpac_gym.bridge.gentle import open_hand
 from hpac_gym.bridge.hands import VirtualTransport
 from hpac_gym.bridge.interrupts import interrupts
 from hpac_gym.model import HPAC, ServoCommand
@@ -541,6 +542,17 @@ def test_a_hand_that_relaxes_in_a_fault_is_waited_for_and_left_in_it(virtual_han
         link.wait()
         virtual_hand.run(0.5)
         link.move(POSE)
+    require_relaxed(virtual_hand, "watchdog")
+
+
+def test_who_opens_and_disarms_a_hand_in_a_fault_is_told_and_does_not_clear_it(virtual_hand):
+    with pytest.raises(FaultError, match="watchdog"), HandLink(virtual_hand.connect) as link:
+        link.arm()
+        link.move(POSE)
+        link.wait()
+        virtual_hand.run(0.5)
+        open_hand(link)
+        link.clear()
     require_relaxed(virtual_hand, "watchdog")
 
 
