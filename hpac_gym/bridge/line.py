@@ -119,7 +119,8 @@ class Line:
         """Leave the hand without pulses and release the port. May be called repeatedly, from any
         thread or signal handler.
 
-        A hand that relaxes in a fault is waited for, up to 5 s, and the fault stays latched. If the hand does not confirm this, an `UnconfirmedWarning` is issued; no error is raised.
+        A hand that relaxes in a fault is waited for, up to 5 s, and a fault stays latched. If the hand
+        does not confirm that its pulses are off, an `UnconfirmedWarning` is issued; no error is raised.
         Signals are delayed until the end. A link that was not closed is closed when it is
         garbage-collected or the program ends."""
         self._end(None)

@@ -64,7 +64,8 @@ def ask(policy: Policy, observation: Any, state: Any, begins: Any) -> tuple[NDAr
     """
     answer = policy.predict(observation, state, begins)
     if not (isinstance(answer, tuple) and len(answer) == 2 and answer[0] is not None):
-        told = "(None, state)" if isinstance(answer, tuple) else type(answer).__name__
+        pair = isinstance(answer, tuple) and len(answer) == 2
+        told = "(None, state)" if pair else type(answer).__name__
         raise PolicyError(
             f"predict of {type(policy).__name__} must return (action, state), not {told}"
         )
