@@ -87,12 +87,10 @@ def _task(row: Registered, options: dict[str, Any]) -> Task:
         )
     if steps >= limit and not task.endless:
         kind = type(task).__name__
-        what, cure = "config timetable", f"use hpac_gym.envs.HandEnv({kind}(config))"
+        told = f"lasts {steps} steps: {row.id} has at most {limit - 1}"
         if task.config is None:
-            what, cure = "an episode", f"register it with more than {steps}"
-        raise ParameterError(
-            f"{what} lasts {steps} steps: {row.id} has at most {limit - 1}; {cure}"
-        )
+            raise ParameterError(f"an episode {told}; register it with more than {steps}")
+        raise ParameterError(f"config timetable {told}; use hpac_gym.envs.HandEnv({kind}(config))")
     return task
 
 
