@@ -306,13 +306,12 @@ class NoTerms(Task):
         raise NotImplementedError
 
 
-class Long(Twice):
+class Long(Grasp):
     duration = 3.0
-    config = None
+    terms = reward_terms = ()
 
     def __init__(self):
-        Task.__init__(self)
-        self.reward_terms = self.terms = ()
+        """Without the settings of its class."""
 
 
 class Half(Task):

@@ -25,8 +25,8 @@ APART_M = 0.01
 """Distance from which on the object is told to be elsewhere than simulated [m]."""
 
 _HEAD = {"policy", "env_id", "grasp", "object", "port"}
-_SIZES = {"position": 3, "quaternion": 4, "sent": len(SERVOS), "hand": len(SERVOS)}
-_STEP = {"t", "phase", "action", *_SIZES}
+_SIZES = {"position": 3, "sent": len(SERVOS), "hand": len(SERVOS)}
+_STEP = {"t", "phase", "action", "quaternion", *_SIZES}
 """What is read of a log's first line and of a step."""
 
 

@@ -14,10 +14,10 @@ from hpac_gym.envs.randomization import PRESETS, Randomization, randomization
 from hpac_gym.errors import ParameterError
 from hpac_gym.model import HPAC, JOINTS, Hand, load_hand
 from hpac_gym.model.checks import as_bounded_array, as_finite_vector, as_unit_vector
-from hpac_gym.physics.engine import HAND_POSITION, SceneSetup
+from hpac_gym.physics.engine import SceneSetup
 from hpac_gym.physics.settings import BODIES, HandSettings, WorldSettings
 from hpac_gym.physics.simulation import ENGINES
-from hpac_gym.physics.supports import POST
+from hpac_gym.physics.supports import support_boxes
 from hpac_gym.settings import check_bounds, check_choice, settings_from
 from hpac_gym.tasks.cameras import CameraNoise
 from hpac_gym.tasks.options import Option, options_of
@@ -218,12 +218,9 @@ def _checked_setup(given: Any, task: Task, hand: Hand) -> SceneSetup:
     for name in ("hand_quaternion", "object_quaternion"):
         found[name] = tuple(as_unit_vector(getattr(given, name), 4, f"setup {name}").tolist())
     setup = replace(given, **found)
-    if not setup.fixed:
-        centre = HAND_POSITION + setup.hand_rotation @ setup.position
-        height = centre[2] - setup.stand_height - (setup.support or POST).table_height
-        if height <= 0:
-            raise ParameterError(
-                f"setup has the object's underside {height:.3f} m above its table: it must be above 0 m"
-            )
+    if not setup.fixed and (half := support_boxes(setup)[0].half_extents[2]) <= 0:
+        raise ParameterError(
+            f"setup has the object's underside {2 * half:.3f} m above its table: it must be above 0 m"
+        )
     task.check(setup)
     return setup

@@ -523,6 +523,14 @@ def test_a_fault_that_holds_ends_with_the_session(virtual_hand):
     assert not virtual_hand.pulses().any()
 
 
+def close_and_fall_silent(link, hand):
+    """Leave a closed hand that begins to relax after the watchdog."""
+    link.arm()
+    link.move(POSE)
+    link.wait()
+    hand.run(0.5)
+
+
 def require_relaxed(hand, fault):
     """The hand is at rest, where CLEAR would have left it closed, without pulses and in its fault."""
     assert not hand.pulses().any()
@@ -537,30 +545,21 @@ def require_relaxed(hand, fault):
 
 def test_a_hand_that_relaxes_in_a_fault_is_waited_for_and_left_in_it(virtual_hand):
     with pytest.raises(FaultError, match="watchdog"), HandLink(virtual_hand.connect) as link:
-        link.arm()
-        link.move(POSE)
-        link.wait()
-        virtual_hand.run(0.5)
+        close_and_fall_silent(link, virtual_hand)
         link.move(POSE)
     require_relaxed(virtual_hand, "watchdog")
 
 
 def test_who_opens_and_disarms_a_hand_in_a_fault_is_told_and_does_not_clear_it(virtual_hand):
     with pytest.raises(FaultError, match="watchdog"), HandLink(virtual_hand.connect) as link:
-        link.arm()
-        link.move(POSE)
-        link.wait()
-        virtual_hand.run(0.5)
+        close_and_fall_silent(link, virtual_hand)
         open_hand(link)
         link.clear()
     require_relaxed(virtual_hand, "watchdog")
 
 
 def test_a_program_that_is_refused_lets_the_hand_of_another_relax(virtual_hand, link):
-    link.arm()
-    link.move(POSE)
-    link.wait()
-    virtual_hand.run(0.5)
+    close_and_fall_silent(link, virtual_hand)
     with pytest.raises(FaultError, match="watchdog"), HandLink(virtual_hand.connect) as other:
         assert virtual_hand.pulses().all()
         other.arm()
