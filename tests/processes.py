@@ -60,6 +60,26 @@ def wait_for(condition, seconds: float = 120) -> None:
         time.sleep(0.05)
 
 
+def children_of(process: subprocess.Popen[str], count: int) -> list[int]:
+    """The numbers of a process's children, as soon as it has so many."""
+    children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
+    wait_for(lambda: len(children.read_text().split()) >= count)
+    return [int(child) for child in children.read_text().split()]
+
+
+def wait_for_the_end(processes: list[int], seconds: float = 120) -> None:
+    """Wait until processes have ended; fail when one has not after some time [s]."""
+    wait_for(lambda: not any(map(_runs, processes)), seconds)
+
+
+def _runs(process: int) -> bool:
+    """Whether there is such a process; one that only waits to be buried is none."""
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
 @contextmanager
 def killed_at_the_second(module: ModuleType, name: str) -> Iterator[None]:
     """A block that ends with the second call of a function, as if the process were killed there."""

@@ -7,7 +7,6 @@ import signal
 import warnings
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 
 import gymnasium
 import numpy as np
@@ -25,7 +24,7 @@ from hpac_gym.physics.engine import PhysicsWarning
 from hpac_gym.registration import GENTLE, GRASP, GRASP_ANY, GRASP_TYPE, IDS, PICK_PLACE, POSTURE
 from hpac_gym.tasks.grasp import GraspConfig
 from tests.envs.episodes import EASY, check_stopped
-from tests.processes import python, wait_for
+from tests.processes import python, wait_for_the_end
 
 CLOSED = np.array([0.28, 1, 1, 1, 1, 0.53])
 """Where the scripted closure ends, not rounded to single precision."""
@@ -422,14 +421,6 @@ def test_wrappers_of_single_environments_and_of_the_whole_batch(opened):
     assert_same(*(envs.step(np.full((2, 6), 1.5, np.float32))[:4] for envs in (each, whole)))
 
 
-def running(process: int) -> bool:
-    """Whether there is such a process; one that only waits to be buried is none."""
-    try:
-        return Path(f"/proc/{process}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
-    except FileNotFoundError:
-        return False
-
-
 @pytest.mark.pybullet
 @pytest.mark.parametrize(
     "end", ["os.kill(os.getpid(), signal.SIGKILL)", "raise SystemExit", "envs.close()"]
@@ -447,5 +438,5 @@ def test_the_processes_end_with_their_parent(end):
     processes = [int(word) for word in done.stdout.split()]
     assert len(processes) == 1, done.stderr
     assert done.returncode == (-signal.SIGKILL if "kill" in end else 0)
-    wait_for(lambda: not any(map(running, processes)))
+    wait_for_the_end(processes)
     assert os.getpid() not in processes

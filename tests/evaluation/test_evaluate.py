@@ -3,7 +3,6 @@ import os
 import signal
 import time
 from importlib.util import find_spec
-from pathlib import Path
 from types import SimpleNamespace
 
 import gymnasium
@@ -21,7 +20,7 @@ from hpac_gym.evaluation.statistics import wilson_interval
 from hpac_gym.policies.loading import load_policy
 from tests.envs.episodes import steps
 from tests.options import called
-from tests.processes import ROOT, started, wait_for
+from tests.processes import ROOT, children_of, started, wait_for_the_end
 
 
 def main(words):
@@ -124,24 +123,17 @@ def test_a_policy_is_called_as_it_was_given_and_no_phases_are_told_of_a_task_wit
     assert {line.count("|") for line in table_of.splitlines()} == {6}
 
 
-def workers_of(running):
-    """The numbers of two workers and of the tracker of their resources, as soon as they are there."""
-    children = Path(f"/proc/{running.pid}/task/{running.pid}/children")
-    wait_for(lambda: len(children.read_text().split()) >= 3)
-    return children.read_text().split()
-
-
 @pytest.mark.parametrize("seconds", [pytest.param(0.0, marks=pytest.mark.slow), 3.0])
 def test_ctrl_c_on_a_terminal_ends_an_evaluation_at_once(seconds):
     """While the workers start, and while they work."""
     words = ["--policy", "scripted", "--engine", "mujoco", "--episodes", "400", "--workers", "2"]
     with started("-m", "hpac", "evaluate", *words, session=True) as running:
-        workers = workers_of(running)
+        workers = children_of(running, 3)  # with the tracker of their resources
         time.sleep(seconds)
         os.killpg(running.pid, signal.SIGINT)
         _, complaints = running.communicate(timeout=10)
     assert (running.returncode, complaints) == (130, "interrupted\n")
-    wait_for(lambda: not any(Path(f"/proc/{worker}").exists() for worker in workers), 10)
+    wait_for_the_end(workers, 10)
 
 
 def test_json_is_one_object_on_standard_output(capsys, tmp_path):
@@ -206,9 +198,9 @@ def test_the_environment_and_its_options_are_those_of_the_first_policy_that_has_
 def test_the_workers_of_a_killed_evaluation_end(tmp_path):
     words = ["--policy", "random", "--env", TINY, "--episodes", "100000", "--workers", "2"]
     with started("-m", "hpac", "evaluate", *words) as running:
-        workers = workers_of(running)
+        workers = children_of(running, 3)  # with the tracker of their resources
         time.sleep(0.5)
-    wait_for(lambda: not any(Path(f"/proc/{worker}").exists() for worker in workers))
+    wait_for_the_end(workers)
 
 
 def test_a_result_says_on_which_engine_and_body_it_was_found(tmp_path, capsys):

@@ -6,7 +6,6 @@ import re
 import signal
 from contextlib import closing, contextmanager
 from dataclasses import replace
-from pathlib import Path
 from threading import Event
 from unittest.mock import Mock, call
 
@@ -46,7 +45,7 @@ from hpac_gym.virtual.hand import Tracker, Virtual
 from hpac_gym.virtual.scene import CAN, scene
 from hpac_gym.virtual.wire import BadTransport, Faults, Way
 from tests.options import refused
-from tests.processes import python, started, wait_for
+from tests.processes import children_of, python, started, wait_for_the_end
 
 SEEDS = range(3_000_000, 3_000_006)
 FAULTLESS = Faults()
@@ -192,12 +191,13 @@ def test_the_page_s_button_puts_the_object_back_once(hand, page, is_back):
 
 
 def test_what_is_typed_against_a_virtual_hand_holds_the_object(tmp_path):
-    with running("--object", "cylinder:0.02,0.05") as (process, port, words):
+    with running("--object", "cylinder:0.02,0.05") as (process, _, words):
         log = tmp_path / "log.jsonl"
         done = python("-m", "hpac", *words, "--log", str(log), "--hold", "0.2")
         assert done.returncode == 0, done.stderr
         refused = int(re.search(r"(\d+) refused", done.stdout)[1])
         assert refused <= 8, "of 64, on a busy machine"
+        board = children_of(process, 1)
         process.stdout.readline()
         outcome = process.stdout.readline()
         assert outcome == "episode 1: success\n" or (refused and outcome.startswith("episode 1: "))
@@ -208,14 +208,14 @@ def test_what_is_typed_against_a_virtual_hand_holds_the_object(tmp_path):
     steps = [json.loads(line) for line in log.read_text().splitlines()][1:-1]
     closing = [step["position"] for step in steps if step["phase"] == "close"]
     assert np.ptp(closing, axis=0).max() > 0  # poses came, with their noise
-    assert not Path(port).exists()
+    wait_for_the_end(board, 10)
 
 
 def test_a_virtual_hand_that_is_killed_leaves_no_board_and_no_folder(tmp_path):
-    with running(TMPDIR=str(tmp_path)) as (process, port, _):
-        assert Path(port).exists()
+    with running(TMPDIR=str(tmp_path)) as (process, _, _):
+        board = children_of(process, 1)
         process.kill()
-        wait_for(lambda: not Path(port).exists(), 10)
+        wait_for_the_end(board, 10)
     assert list(tmp_path.iterdir()) == []
 
 
