@@ -41,8 +41,7 @@ class Episodes:
         task: draws episodes, judges them and shapes the reward.
         num_worlds: n.
         options: options of the environment.
-        transmit: function applied to a command on its way to the servos, for n = 1; None is the
-            identity.
+        transmit: applied to a command on its way to the servos, for n = 1; None is the identity.
         engine: physics of n worlds; None makes those of the options.
 
     Raises:
@@ -57,8 +56,7 @@ class Episodes:
         user: a token, which the task loses to other `Episodes` that are made with it.
         episode: a token of its own for what was started by the last `reset`.
         outcome: status of each episode, an index into `hpac_gym.tasks.task.OUTCOMES`, shape (n,).
-        now: the worlds after the last step; None before the first `reset`, and after a call that was
-            interrupted.
+        now: the worlds after the last step; None before `reset` and after an interrupted call.
         terms: terms of the last step's dense reward, shape (n,), by name.
     """
 
@@ -100,9 +98,8 @@ class Episodes:
             raise
         self.dt = 1.0 / CONTROL_HZ
         self.commands = Commands(num_worlds, options.model, task.wrist_actions, transmit)
-        self.action_space = spaces.Box(
-            -1.0, 1.0, (len(SERVOS) + len(task.wrist_actions),), np.float32
-        )
+        width = len(SERVOS) + len(task.wrist_actions)
+        self.action_space = spaces.Box(-1.0, 1.0, (width,), np.float32)
         self.pictures = Pictures(self, options.render_mode)
         self.setups: list[SceneSetup | None] = [None] * num_worlds
         self.randomizations = [options.randomize] * num_worlds
@@ -173,8 +170,7 @@ class Episodes:
             PhysicsError: A simulation failed, and the engine cannot continue.
 
         Warns:
-            PhysicsWarning: A world's simulation failed: its episode ends as a failure, and the
-                others continue.
+            PhysicsWarning: A world's simulation failed: its episode alone ends, as a failure.
         """
         target = self.commands.target(actions)
         phase = self.now.phase
@@ -195,23 +191,11 @@ class Episodes:
             failed = [world for world in error.worlds if self.outcome[world] == RUNNING]
         state = self.simulation.state()
         self.task.watch(state, self.dt, self.simulation.engine.contacts)
-        judged = self.task.judge(state, self.dt)
-        if np.shape(judged) != phase.shape or not _JUDGED.issuperset(np.asarray(judged).tolist()):
-            raise ShapeError(
-                f"judge must return {phase.shape} indices into {', '.join(OUTCOMES)}, not {judged!r}"
-            )
-        self.outcome = np.array(judged, int)  # a copy: `reset` writes to it
+        self.outcome = _judged(self.task.judge(state, self.dt), phase.shape)
         if failed:
             self.outcome[failed] = FAILURE
         self._look(state, self.commands.record(actions), range(len(self.setups)), phase)
-        self.terms = {
-            term.name: np.asarray(term.value(self.now)) for term in self.task.reward_terms
-        }
-        for name, value in self.terms.items():
-            if value.shape != phase.shape:
-                raise ShapeError(
-                    f"reward term {name!r} must have shape {phase.shape}, not {value.shape}"
-                )
+        self.terms = _terms(self.task, self.now)
         if self.options.reward == "dense":
             return sum(self.terms.values(), np.zeros(len(self.setups)))
         return self.task.sparse_reward(self.now)
@@ -223,9 +207,7 @@ class Episodes:
         worlds: Iterable[int],
         began: NDArray[np.int_] | None = None,
     ) -> None:
-        """Record a state; the camera measures only the given worlds anew, so that no world's noise
-        depends on the others.
-        """
+        """Record a state; the camera measures only the given worlds, each with noise of its own."""
         phase = self.task.phase(state.time)
         commands = self.commands
         self.now = Moment(
@@ -277,6 +259,26 @@ def _link_faults(values: Mapping[str, Array], rng: np.random.Generator) -> LinkF
     lost = drawn_value(values, "dropped_frames", 0.0)
     late = drawn_value(values, "late_frames", 0.0)
     return LinkFaults(lost, late, stream(rng, "losses")) if lost or late else None
+
+
+def _judged(outcome: Any, shape: tuple[int, ...]) -> NDArray[np.int_]:
+    """What a task's `judge` returned, as an array of its own: `Episodes.reset` writes to it."""
+    if np.shape(outcome) != shape or not _JUDGED.issuperset(np.asarray(outcome).tolist()):
+        raise ShapeError(
+            f"judge must return {shape} indices into {', '.join(OUTCOMES)}, not {outcome!r}"
+        )
+    return np.array(outcome, int)
+
+
+def _terms(task: Task, now: Moment) -> dict[str, Array]:
+    """Terms of a task's dense reward, shape (n,), by name."""
+    terms = {term.name: np.asarray(term.value(now)) for term in task.reward_terms}
+    for name, value in terms.items():
+        if value.shape != now.phase.shape:
+            raise ShapeError(
+                f"reward term {name!r} must have shape {now.phase.shape}, not {value.shape}"
+            )
+    return terms
 
 
 def quality(episodes: Episodes, world: int) -> float:

@@ -74,8 +74,7 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
 
     Raises:
         TypeError: An unknown option.
-        ParameterError: `num_envs` or `max_episode_steps` is no whole number from 1 on, or `HandEnv`
-            refuses an option.
+        ParameterError: Wrong number of environments or steps, or an option that `HandEnv` refuses.
 
     Attributes:
         slices: slices of an observation vector, by field name.
@@ -173,7 +172,7 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
             PhysicsError: A world's simulation failed in PyBullet; the message names it.
 
         Warns:
-            PhysicsWarning: A world's simulation failed in MuJoCo, and its episode as a failure.
+            PhysicsWarning: A world's simulation failed in MuJoCo: its episode ends as a failure.
         """
         episodes = self.episodes
         waits = self._mode is AutoresetMode.DISABLED and self._over.any()
@@ -231,8 +230,7 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         return (getattr(self, name),) * self.num_envs
 
     def set_attr(self, name: str, values: Any) -> None:
-        """Set the `randomization` of every environment, from its next episode on: one for each in a
-        list or tuple, or one for all.
+        """Set the `randomization` of the next episodes: one for all, or a list with one for each.
 
         Raises:
             AttributeError: Any other name.
