@@ -117,7 +117,7 @@ def run(options: argparse.Namespace) -> int:
     observer = Observer(env_id, thing, hand, options.grasp, **given)
     policy = load_policy(options.policy, observer, options.normalize)
     with ExitStack() as stack:
-        source = source_of(options.pose, thing, observer.upright)
+        source = source_of(options.pose, thing)
         stack.enter_context(closing(source))
         if options.dry_run:
             _dry_run(options, observer, policy, source)

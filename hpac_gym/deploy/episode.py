@@ -132,7 +132,7 @@ def run_episode(
     clock = link.exchange.transport.now
     counts = StreamCounts()
     try:
-        pose = averaged(source, seconds, oldest, pause=link.sleep, clock=clock)
+        pose = observer.turned(averaged(source, seconds, oldest, pause=link.sleep, clock=clock))
         observer.expects(pose)
         observer.start()
         # It may take longer than the watchdog of an armed hand waits.
@@ -161,7 +161,7 @@ def run_episode(
             arm.tell({"phase": phase, "time": step / CONTROL_HZ, "offset": offset.tolist()})
             if step:  # the first is decided
                 if age <= oldest:  # once the hand has closed, fingers and arm hide the object
-                    pose = latest
+                    pose = observer.turned(latest)
                 observation, action, target, memory = decided(
                     policy, observer, pose, memory, begins=False
                 )

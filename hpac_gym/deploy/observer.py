@@ -48,8 +48,8 @@ class Pose:
 
     position: Array
     """Its centre, shape (3,) [m]."""
-    quaternion: Quaternion = UPRIGHT
-    """Rotation from the object's axes to the hand's, xyzw."""
+    quaternion: Quaternion | None = None
+    """Rotation from the object's axes to the hand's, xyzw; None: the object stands upright."""
 
 
 class Observer:
@@ -125,11 +125,10 @@ class Observer:
         """The last commanded angles, shape (6,) [rad]."""
         return self._commands.servo[0]
 
-    @property
-    def upright(self) -> Quaternion:
-        """Rotation of an object that stands upright, in the frame of the hand at its start, xyzw."""
+    def turned(self, pose: Pose) -> Pose:
+        """The pose with the rotation of an object that stands upright, if it has none."""
         x, y, z, w = self.setup.hand_quaternion
-        return -x, -y, -z, w
+        return replace(pose, quaternion=pose.quaternion or (-x, -y, -z, w))
 
     def phase(self) -> str:
         """Name of the phase that is running or begins."""
@@ -161,7 +160,7 @@ class Observer:
 
     def see(self, pose: Pose) -> NDArray[np.float32]:
         """The observation for a pose of the object, shape (size,)."""
-        rotation = matrix_from_quaternion(pose.quaternion)
+        rotation = matrix_from_quaternion(self.turned(pose).quaternion)
         shape = self.setup.object.shape
         state = SceneState.empty(1)
         state.time = self._time()

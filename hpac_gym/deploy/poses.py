@@ -16,7 +16,7 @@ from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.camera.detection import Device, Lens, Watch, lens_of
 from hpac_gym.camera.poses import object_place
 from hpac_gym.deploy.errors import MALFORMED, PoseError, udp
-from hpac_gym.deploy.observer import UPRIGHT, Pose, Quaternion
+from hpac_gym.deploy.observer import Pose
 from hpac_gym.output import read_text
 from hpac_gym.progress import Late
 
@@ -52,9 +52,8 @@ class Source:
         """Let go what the source holds."""
 
 
-def pose_of(numbers: Sequence[float], where: str, upright: Quaternion = UPRIGHT) -> Pose:
-    """The pose of three numbers, x, y, z [m], or of seven, with a quaternion xyzw, which is `upright`
-    otherwise.
+def pose_of(numbers: Sequence[float], where: str) -> Pose:
+    """The pose of three numbers, x, y, z [m], or of seven, with a quaternion xyzw.
 
     Raises:
         PoseError: Another count, NaN, a place beyond `FURTHEST`, or no unit quaternion.
@@ -67,7 +66,7 @@ def pose_of(numbers: Sequence[float], where: str, upright: Quaternion = UPRIGHT)
             f"{where}: the object is {far:.3g} m from the hand, allowed {FURTHEST} m; is it in mm?"
         )
     if len(values) == 3:
-        return Pose(values, upright)
+        return Pose(values)
     if abs(length := float(np.linalg.norm(values[3:]))) < 0.9 or length > 1.1:
         raise PoseError(f"{where}: the quaternion's length is {length:.3g}, it must be 1")
     return Pose(values[:3], tuple((values[3:] / length).tolist()))
@@ -91,9 +90,7 @@ class Recorded(Source):
         PoseError: The file cannot be read, or a row is no pose or goes back in time.
     """
 
-    def __init__(
-        self, path: Path, clock: Callable[[], float] = monotonic, upright: Quaternion = UPRIGHT
-    ) -> None:
+    def __init__(self, path: Path, clock: Callable[[], float] = monotonic) -> None:
         text = read_text(path, "poses", PoseError, "utf-8-sig")
         try:
             rows = list(csv.DictReader(text.splitlines()))
@@ -113,7 +110,7 @@ class Recorded(Source):
                 raise PoseError(f"{where}: time_s = {at} must be a finite number [s]")
             if self._rows and at <= self._rows[-1][0]:
                 raise PoseError(f"{where}: {at:g} s does not follow {self._rows[-1][0]:g} s")
-            self._rows.append((at, pose_of(numbers, where, upright)))
+            self._rows.append((at, pose_of(numbers, where)))
         if not rows:
             raise PoseError(f"poses {path}: no rows")
         self._clock = clock
@@ -138,8 +135,7 @@ class Packets(Source):
         fault: what was wrong with the last packet that was no pose.
     """
 
-    def __init__(self, port: int, upright: Quaternion = UPRIGHT) -> None:
-        self._upright = upright
+    def __init__(self, port: int) -> None:
         self._socket = udp(f"--pose udp:{port}", "127.0.0.1", port, bind=True)
         self._socket.settimeout(0.1)  # before the thread looks whether the port is closed
         self.port = self._socket.getsockname()[1]
@@ -161,7 +157,7 @@ class Packets(Source):
                 packet = json.loads(data)
                 if packet[PACKET] != VERSION:
                     raise PoseError(f"{PACKET} {packet[PACKET]!r}, this program reads {VERSION}")
-                numbers = [*packet["position"], *packet.get("quaternion", self._upright)]
+                numbers = [*packet["position"], *packet.get("quaternion", ())]
                 self._latest = pose_of(numbers, "packet"), at
             except (PoseError, *MALFORMED) as error:
                 self.fault = f"{error}"
@@ -194,14 +190,13 @@ class Tags(Watch[Pose], Source):
         super().__init__(frames, look)
 
 
-def source_of(text: str, seen: ObjectSpec | None = None, upright: Quaternion = UPRIGHT) -> Source:
+def source_of(text: str, seen: ObjectSpec | None = None) -> Source:
     """The source of a ``--pose``: ``X,Y,Z[,QX,QY,QZ,QW]``, ``udp:PORT``, a CSV file, or
     ``camera:N[,FILE]``.
 
     Args:
         text: names the source.
         seen: the object before a camera.
-        upright: rotation of an object without a quaternion, as an `Observer` tells it, xyzw.
 
     Raises:
         PoseError: It is none of them. DeployError: The port is taken. CameraError: The camera
@@ -212,16 +207,16 @@ def source_of(text: str, seen: ObjectSpec | None = None, upright: Quaternion = U
         camera, lens = lens_of(rest)
         return Tags(Device(camera, lens.size), lens, seen.half_extents[2] if seen else 0.0)
     if kind == "udp" and rest.isdecimal():
-        return Packets(int(rest), upright)
+        return Packets(int(rest))
     if text.endswith(".csv"):
-        return Recorded(Path(text), upright=upright)
+        return Recorded(Path(text))
     try:
         numbers = [float(part) for part in text.split(",")]
     except ValueError:
         raise PoseError(
             f"--pose '{text}' is not x,y,z in m, with or without a quaternion, nor udp:PORT, nor a .csv, nor camera:N"
         ) from None
-    return Fixed(pose_of(numbers, "--pose", upright))
+    return Fixed(pose_of(numbers, "--pose"))
 
 
 def averaged(
@@ -266,8 +261,11 @@ def averaged(
         pause(0.02)
     if not poses:
         raise PoseError(f"the object's pose is {age:.2g} s old, allowed {oldest:g} s")
-    quaternions = np.array([pose.quaternion for pose in poses])
+    place = np.mean([pose.position for pose in poses], axis=0)
+    quaternions = np.array([pose.quaternion for pose in poses if pose.quaternion])
+    if not len(quaternions):
+        return Pose(place)
     # The mean rotation is the first eigenvector of the sum of the outer products.
     _, vectors = np.linalg.eigh(quaternions.T @ quaternions)
     mean = vectors[:, -1] * (np.sign(vectors[:, -1] @ quaternions[0]) or 1.0)
-    return Pose(np.mean([pose.position for pose in poses], axis=0), tuple(mean.tolist()))
+    return Pose(place, tuple(mean.tolist()))

@@ -22,6 +22,7 @@ from lerobot.utils.decorators import check_if_already_connected, check_if_not_co
 from hpac_gym.bridge import BridgeError, HandLink, Stream
 from hpac_gym.bridge.commands import connector
 from hpac_gym.bridge.gentle import go, open_hand
+from hpac_gym.deploy.observer import UPRIGHT
 from hpac_gym.deploy.poses import averaged
 from hpac_gym.model import load_hand
 from hpac_gym.settings import check_bounds, setting
@@ -59,7 +60,8 @@ class HpacConfig(RobotConfig):
             is disarmed [s].
         start: action to which `connect` leads the hand slowly, before LeRobot's clock runs; None is
             the open hand.
-        pose: source of an object's poses, as of `hpac deploy --pose`, which are then observed.
+        pose: source of an object's poses, as of `hpac deploy --pose`, which are then observed; one
+            without a quaternion is upright before a hand in its default orientation.
         object: the object before a camera, as of `hpac deploy --object`.
         cameras: LeRobot's cameras.
     """
@@ -161,7 +163,7 @@ class Hpac(Robot):
         if self.config.pose:
             # An arm and fingers that hide the object leave the last pose.
             pose, _ = self._source.latest()
-            seen |= named(POSE, [*pose.position, *pose.quaternion])
+            seen |= named(POSE, [*pose.position, *(pose.quaternion or UPRIGHT)])
         return seen | {name: camera.read_latest() for name, camera in self.cameras.items()}
 
     @check_if_not_connected
