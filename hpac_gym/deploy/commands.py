@@ -33,7 +33,7 @@ from hpac_gym.deploy.observer import Observer
 from hpac_gym.deploy.poses import averaged, source_of
 from hpac_gym.evaluation import options as environment
 from hpac_gym.model import SERVOS, load_hand
-from hpac_gym.policies.loading import NAMES, NORMALIZE, about, load_policy, needed_options
+from hpac_gym.policies.loading import NAMES, NORMALIZE, load_policy, needed_options
 from hpac_gym.policies.policy_file import policy_path
 
 
@@ -110,7 +110,7 @@ def object_of(text: str) -> ObjectSpec:
 
 def run(options: argparse.Namespace) -> int:
     """Run one episode, or only tell what would be done."""
-    env_id = options.env or about(options.policy).get("env_id") or "HPAC-Grasp-v0"
+    env_id = options.env or environment.env_id_of(options.policy)
     hand = load_hand(options.model)
     thing = object_of(options.object)
     given = environment.with_set(needed_options(options.policy, env_id), options.set)
@@ -137,8 +137,9 @@ def run(options: argparse.Namespace) -> int:
         regular = options.log.is_file()  # beside /dev/null there is no wire log
         wire = stack.enter_context(WireLog(wire_log(options.log))) if regular else None
         link = stack.enter_context(HandLink(lambda: transport, hand=hand, log=wire))
-        said = f"{options.policy} on {options.port}: {env_id}, {observer.steps / 20:g} s; Ctrl-C opens the hand"
-        say(options.json, said, policy=options.policy, port=options.port, env=env_id)
+        task = observer.spec.id
+        said = f"{options.policy} on {options.port}: {task}, {observer.steps / 20:g} s; Ctrl-C opens the hand"
+        say(options.json, said, policy=options.policy, port=options.port, env=task)
         live = [_live] if sys.stderr.isatty() else []
         if options.view:
             from hpac_gym.deploy.watching import watched

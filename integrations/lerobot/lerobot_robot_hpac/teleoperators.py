@@ -25,10 +25,11 @@ from hpac_gym.deploy.errors import MALFORMED, DeployError
 from hpac_gym.deploy.observer import Observer
 from hpac_gym.deploy.poses import averaged
 from hpac_gym.errors import HpacError
+from hpac_gym.evaluation.options import env_id_of
 from hpac_gym.model import SERVOS, action_from_synergy, load_hand, streamed_servo
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import SceneSetup
-from hpac_gym.policies.loading import about, load_policy, needed_options
+from hpac_gym.policies.loading import load_policy, needed_options
 from hpac_gym.settings import check_bounds, setting
 from hpac_gym.tasks.task import CONTROL_HZ
 from lerobot_robot_hpac.features import ACTIONS, Commands, clipped, named, shared_source
@@ -103,7 +104,7 @@ class HpacPolicyConfig(TeleoperatorConfig):
         object: what the camera knows of the object.
         pose: where the object is.
         arm: who carries the hand: none, enter or udp:HOST:PORT.
-        env: environment of a policy without a file.
+        env: environment; None is the policy's own.
         grasp: named grasp or type, for the tasks that have them.
         hand: hand file of the robot; None is the nominal hand.
         hold: time for which the last action is repeated, before the hand opens [s].
@@ -113,7 +114,7 @@ class HpacPolicyConfig(TeleoperatorConfig):
     object: str
     pose: str
     arm: str = "none"
-    env: str = "HPAC-Grasp-v0"
+    env: str | None = None
     grasp: str | None = None
     hand: str | None = None
     hold: float = setting(2.0, bounds=(0.0, np.inf), unit="s")
@@ -138,10 +139,10 @@ class HpacPolicy(HpacTeleoperator):
 
     def _open(self, stack: ExitStack) -> None:
         config = self.config
-        env_id = about(config.policy).get("env_id") or config.env
+        env_id = config.env or env_id_of(config.policy)
         thing = object_of(config.object)
         hand = load_hand(config.hand)
-        options = needed_options(config.policy)
+        options = needed_options(config.policy, env_id)
         self._observer = Observer(env_id, thing, hand, config.grasp, **options)
         if self._observer.task.wrist_actions:
             raise DeployError(f"{config.policy} places the wrist, which LeRobot's actions have not")
