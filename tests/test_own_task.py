@@ -77,11 +77,15 @@ def test_a_task_without_reward_terms_pays_nothing():
 
 
 class Paid(Grasp):
-    """`Grasp` with one more reward term or one more entry of the observation, or judged otherwise."""
+    """`Grasp` with one more reward term or one more entry of the observation, judged or pushed
+    otherwise, or with another path of the wrist.
+    """
 
-    def __init__(self, reward=None, seen=None, judged=None):
+    def __init__(self, reward=None, seen=None, judged=None, pushed=None, path=None):
         super().__init__()
         self.judged = judged
+        self.push = pushed or self.push
+        self.wrist_path = path or self.wrist_path
         if reward:
             self.reward_terms = (*self.reward_terms, RewardTerm("mine", "", reward))
         if seen:
@@ -107,6 +111,7 @@ class Paid(Grasp):
         ({"seen": lambda now: now.state.touching}, r"term 'seen' .* \(2, 1\), not \(2, 6\)"),
         ({"judged": lambda found: True}, r"judge must return \(2,\) indices .*, not True"),
         ({"judged": lambda found: found + 7}, r"indices into running, success, failure, not array"),
+        ({"pushed": lambda times: np.ones((2, 3))}, r"push .* shape \(2, 6, 3\), not \(2, 3\)"),
     ],
 )
 def test_what_has_the_wrong_shape_is_named(given, message):
@@ -114,6 +119,12 @@ def test_what_has_the_wrong_shape_is_named(given, message):
     with closing(HandVectorEnv(Paid(**given), 2)) as envs, pytest.raises(ShapeError, match=message):  # noqa: PT012
         envs.reset(seed=0)
         envs.step(np.zeros((2, 6)))
+
+
+def test_a_wrist_stays_within_its_range():
+    far = Paid(path=lambda setup, times: np.full((len(times), 3), 2.0))
+    with closing(HandEnv(far)) as env, pytest.raises(ParameterError, match=r"leads 2 m .* 1 m"):
+        env.reset(seed=0)
 
 
 class Twice(Grasp):
@@ -314,6 +325,10 @@ class Long(Grasp):
         """Without the settings of its class."""
 
 
+class Endless(Long):
+    duration = np.inf
+
+
 class Half(Task):
     duration = 1.0
 
@@ -327,6 +342,7 @@ class Half(Task):
         (Grasp, 1.5, ParameterError, r"max_episode_steps = 1\.5 must"),
         (Grasp, 30, ParameterError, "lasts 64 steps: Wrong-v0 has at most 29"),
         (Long, 60, ParameterError, "an episode lasts 60 steps: .* register it with more than 60"),
+        (Endless, 60, ParameterError, "an episode of inf s must have .* an end"),
         (NoTerms, None, ParameterError, "NoTerms has no terms, reward_terms"),
         (Half, None, TypeError, "abstract.*judge.*setup"),
         (lambda: 3, None, ParameterError, "Wrong-v0 needs a .*Task: int has no duration"),

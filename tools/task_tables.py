@@ -43,7 +43,7 @@ def summary_table(env_id: str, task: Task) -> str:
         ("make", f'`gymnasium.make("hpac_gym:{env_id}")`'),
         ("action space", f"`{action}`"),
         *spaces,
-        ("length", f"{round(task.duration * CONTROL_HZ)} steps, {task.duration:g} s"),
+        ("length", f"{task.control_steps} steps, {task.duration:g} s"),
     )
     return markdown(("", ""), rows)
 
@@ -143,7 +143,7 @@ def config_table(task: Task) -> str:
 def phase_list(task: Task) -> str:
     """Sentence with the start time of each phase of a task."""
     begins: dict[str, float] = {}
-    for step in range(round(task.duration * CONTROL_HZ)):
+    for step in range(task.control_steps):
         time = step / CONTROL_HZ
         begins.setdefault(task.phases[int(task.phase(np.array([time]))[0])], time)
     steps = [f"`{name}` from {begin:g} s" for name, begin in begins.items()]

@@ -102,7 +102,7 @@ class Observer:
         self.observation_space = self._layout.space
         size = len(SERVOS) + len(self.task.wrist_actions)
         self.action_space = Box(-1.0, 1.0, (size,), np.float32)
-        self.steps = round(self.task.duration * CONTROL_HZ)
+        self.steps = self.task.control_steps
         self.setup = replace(self.task.setup(np.random.default_rng(0), HPAC), object=object)
         self.task.prepare(1, CameraNoise())
         self._times = tuple((np.arange(self.steps + 1) / CONTROL_HZ).tolist())

@@ -218,9 +218,10 @@ def _checked_setup(given: Any, task: Task, hand: Hand) -> SceneSetup:
     for name in ("hand_quaternion", "object_quaternion"):
         found[name] = tuple(as_unit_vector(getattr(given, name), 4, f"setup {name}").tolist())
     setup = replace(given, **found)
-    if not setup.fixed and (half := support_boxes(setup)[0].half_extents[2]) <= 0:
-        raise ParameterError(
-            f"setup has the object's underside {2 * half:.3f} m above its table: it must be above 0 m"
-        )
+    for box in () if setup.fixed else support_boxes(setup):
+        if (height := 2 * box.half_extents[2]) <= 0:
+            raise ParameterError(
+                f"setup has the object's underside {height:.3f} m above its table at the {box.kind}: it must be above 0 m"
+            )
     task.check(setup)
     return setup

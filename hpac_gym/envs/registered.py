@@ -18,7 +18,7 @@ from hpac_gym.envs.vector_env import HandVectorEnv
 from hpac_gym.errors import ParameterError
 from hpac_gym.registration import Registered, add_row, row_of
 from hpac_gym.tasks.options import Option, options_of
-from hpac_gym.tasks.task import CONTROL_HZ, Task
+from hpac_gym.tasks.task import Task
 
 _UNLISTED = ("transmit", "physics", "max_episode_steps")
 """Arguments of the environments that no page lists: not options of an id."""
@@ -77,7 +77,7 @@ def _task(row: Registered, options: dict[str, Any]) -> Task:
         raise ParameterError(
             f"{row.id} needs a hpac_gym.tasks.task.Task: {type(task).__name__} {lacks}"
         )
-    steps = round(task.duration * CONTROL_HZ)
+    steps = task.control_steps
     limit = row.max_episode_steps
     if limit is None:
         return task

@@ -42,13 +42,13 @@ def restore_episode(episodes: Any, snapshot: Any) -> None:
     """Restore `Episodes` of one world to a snapshot, which is not modified.
 
     Raises:
-        EpisodeError: The snapshot is of another episode, or of another environment.
+        EpisodeError: The snapshot is none, or of another episode or environment.
     """
-    episode, setup, now, physics, values = snapshot
-    if episode is not episodes.episode:
+    if not isinstance(snapshot, tuple) or snapshot[:1] != (episodes.episode,):
         raise EpisodeError(
             "a state can be restored only in the episode that it was saved in, not after another reset()"
         )
+    _, setup, now, physics, values = snapshot
     episodes.now = None  # until the end, so that nothing goes on from an interrupted call
     episodes.setups[0] = setup  # the wrist may have been placed since then
     episodes.simulation.engine.restore(0, physics)

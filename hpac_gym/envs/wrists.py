@@ -1,11 +1,11 @@
 """The scripted motion of n wrists, and forces on their objects, as tables by control step."""
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
 
-from hpac_gym.errors import ParameterError
+from hpac_gym.body.urdf import WRIST_RANGE
+from hpac_gym.errors import ParameterError, ShapeError
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import SceneSetup
 from hpac_gym.tasks.task import CONTROL_HZ, Task
@@ -35,13 +35,9 @@ class Wrists:
             raise ParameterError(
                 f"physics_hz = {rate} Hz must be a multiple of {CONTROL_HZ} Hz, the rate of the commands"
             )
-        if not (math.isfinite(task.duration) and round(task.duration * CONTROL_HZ) >= 1):
-            raise ParameterError(
-                f"an episode of {task.duration:g} s must have a control step of {1 / CONTROL_HZ:g} s, and an end"
-            )
         self._task = task
         self._substeps = rate // CONTROL_HZ
-        times = np.cumsum(np.full(round(task.duration * CONTROL_HZ) * self._substeps, dt))
+        times = np.cumsum(np.full(task.control_steps * self._substeps, dt))
         self.times = tuple(times.tolist())
         self.step = np.zeros(num_worlds, dtype=int)
         self._clock = self._by_step(times)
@@ -56,16 +52,33 @@ class Wrists:
         return np.concatenate([table, after]).reshape(-1, self._substeps, *table.shape[1:])
 
     def start(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
-        """Begin episodes in some worlds."""
+        """Begin episodes in some worlds.
+
+        Raises:
+            ParameterError: A path leaves the wrist's range.
+        """
         self.step[np.asarray(worlds)] = 0
         for world, setup in zip(worlds, setups, strict=True):
-            self._way[world] = self._by_step(self._task.wrist_path(setup, self.times))
+            path = self._task.wrist_path(setup, self.times)
+            if not (far := float(np.abs(path).max())) <= WRIST_RANGE:
+                raise ParameterError(
+                    f"the wrist's path leads {far:.3g} m along an axis, allowed {WRIST_RANGE:g} m"
+                )
+            self._way[world] = self._by_step(path)
 
     def advance(self) -> tuple[Array, Array | None]:
         """Advance by one control step; returns offsets of the wrists, shape (n, k, 3) [m], and forces
         on the objects, shape (n, k, 3) [N], or None.
+
+        Raises:
+            ShapeError: The task's forces have another shape.
         """
         step = np.minimum(self.step, len(self._clock) - 1)
         self.step += 1
         way = self._way.reshape(-1, *self._way.shape[2:]).take(self._rows + step, axis=0)
-        return way, self._task.push(self._clock.take(step, axis=0))
+        push = self._task.push(self._clock.take(step, axis=0))
+        if push is not None and np.shape(push) != way.shape:
+            raise ShapeError(
+                f"push must return None or forces of shape {way.shape}, not {np.shape(push)}"
+            )
+        return way, push

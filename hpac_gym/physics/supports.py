@@ -66,6 +66,6 @@ def support_boxes(
     boxes.append(SupportBox("table", table, below - [0.0, 0.0, table[2]]))
     if setup.target is not None:
         x, y, z = HAND_POSITION + rotation @ setup.target - [0.0, 0.0, reach]
-        half = np.array([TARGET_HALF_WIDTH, TARGET_HALF_WIDTH, z / 2])
-        boxes.append(SupportBox("target", half, np.array([x, y, z / 2])))
+        half = np.array([TARGET_HALF_WIDTH, TARGET_HALF_WIDTH, (z - floor) / 2])
+        boxes.append(SupportBox("target", half, np.array([x, y, (z + floor) / 2])))
     return boxes

@@ -9,12 +9,14 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
+from math import isfinite
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hpac_gym.errors import ParameterError
 from hpac_gym.model import FINGERS, SERVO_INDEX, Hand
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import PARTS, Contacts, SceneSetup, SceneState, Viewpoint
@@ -147,6 +149,19 @@ class Task(ABC):
         """Inspect a state before it is judged, for tasks that need contacts; `contacts` takes
         milliseconds per world.
         """
+
+    @property
+    def control_steps(self) -> int:
+        """Length of an episode in control steps.
+
+        Raises:
+            ParameterError: `duration` is not finite, or shorter than a control step.
+        """
+        if not (isfinite(self.duration) and round(self.duration * CONTROL_HZ) >= 1):
+            raise ParameterError(
+                f"an episode of {self.duration:g} s must have a control step of {1 / CONTROL_HZ:g} s, and an end"
+            )
+        return round(self.duration * CONTROL_HZ)
 
     def sparse_reward(self, now: Moment) -> Array:
         """Sparse reward, shape (n,): 1 on success, 0 otherwise."""

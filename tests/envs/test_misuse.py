@@ -200,6 +200,11 @@ SETUPS = [
     ({"setup": a_setup(support=(0.1, 0.1))}, ParameterError, "of type Support or NoneType, not"),
     ({"setup": a_setup(fixed="no")}, ParameterError, "setup fixed must be of type bool, not 'no'"),
     ({"setup": a_setup(rest_height=0.9)}, ParameterError, "object's underside -0.[0-9]+ m above"),
+    (
+        {"setup": a_setup(target=np.array([0.0, -2.0, 0.0]))},
+        ParameterError,
+        "at the target: it must",
+    ),
     ({"setpu": None}, ParameterError, "'setpu'.*'setup'"),
     ("setup", ParameterError, "'setup'.*None or"),
     (

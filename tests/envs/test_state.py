@@ -101,6 +101,8 @@ def test_a_state_of_another_episode_or_environment_is_refused(opened):
     env.reset(seed=0)
     with pytest.raises(EpisodeError, match="only in the episode"):
         env.restore_state(state)
+    with pytest.raises(EpisodeError, match="only in the episode"):
+        env.restore_state(None)
     env.close()
     with pytest.raises(EpisodeError, match="closed"):
         env.restore_state(state)

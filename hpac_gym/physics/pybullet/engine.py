@@ -176,9 +176,7 @@ class PyBulletEngine(Engine):
         return self.scenes[world].setup, list(self.scenes[world].past)
 
     def restore(self, world: int, snapshot: Any) -> None:
-        """As `Engine.restore`: replays the episode from its start, in about a millisecond per
-        control step.
-        """
+        """As `Engine.restore`: replays the episode from its start."""
         setup, past = snapshot
         self._start(world, setup)
         for tables in past:
