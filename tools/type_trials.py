@@ -14,10 +14,12 @@ from numpy.typing import NDArray
 from hpac_gym.envs import HandVectorEnv
 from hpac_gym.evaluation.episodes import BATCH, run_episodes
 from hpac_gym.model import HPAC, action_from_synergy
+from hpac_gym.physics.engine import PARTS
 from hpac_gym.physics.settings import WorldSettings
 from hpac_gym.physics.simulation import make_engine
 from hpac_gym.policies.policy import EpisodePolicy
 from hpac_gym.tasks.grasp_data import NamedGrasp
+from hpac_gym.tasks.grasp_holds import Hold, part_of
 from hpac_gym.tasks.grasp_type_data import GraspType
 from hpac_gym.tasks.grasp_types import GraspByType
 from hpac_gym.tasks.scripted import CLOSE_TIME
@@ -121,6 +123,15 @@ def run_types(
                         step.number / CONTROL_HZ / task.duration,
                         types[job[here]].rule.clauses(hold),
                         hold.touched,
-                        hold.part_force,
+                        _part_force(hold),
                     ),
                 )
+
+
+def _part_force(hold: Hold) -> dict[str, float]:
+    """Mean normal force of each part of the hand [N]."""
+    pushes = [list(zip(map(part_of, now.links), now.force, strict=True)) for now in hold.looks]
+    return {
+        part: float(np.mean([sum(force for on, force in each if on == part) for each in pushes]))
+        for part in PARTS
+    }

@@ -75,11 +75,6 @@ class Look:
     joint_pos: Array
     """Joint angles, shape (15,) [rad]."""
 
-    def force_of(self, part: str) -> float:
-        """Normal force of a part of the hand [N]."""
-        pairs = zip(self.force, self.links, strict=True)
-        return sum(force for force, link in pairs if part_of(link) == part)
-
     def pressed(self, button: float) -> float:
         """Force of middle and distal links along −z on points above `button` [N]."""
         down = self.force * np.maximum(-self.normal[:, 2], 0.0)
@@ -132,15 +127,8 @@ class Hold:
     @property
     def touched(self) -> dict[str, float]:
         """Fraction of the looks in which each part touches."""
-        return self._of_parts(lambda now, part: part in map(part_of, now.links))
-
-    @property
-    def part_force(self) -> dict[str, float]:
-        """Mean normal force of each part [N]."""
-        return self._of_parts(Look.force_of)
-
-    def _of_parts(self, value: Callable[[Look, str], float]) -> dict[str, float]:
-        return {part: float(np.mean([value(now, part) for now in self.looks])) for part in PARTS}
+        each = [set(map(part_of, now.links)) for now in self.looks]
+        return {part: float(np.mean([part in parts for parts in each])) for part in PARTS}
 
     @property
     def force(self) -> float:
