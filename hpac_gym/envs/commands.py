@@ -70,9 +70,10 @@ class Commands:
         servo: commanded servo angles, shape (n, 6) [rad].
         predicted: joint angles that the model predicts for them, shape (n, 15) [rad].
         last_action: last action on the servos, shape (n, 6).
+        faults: what loses or delays a share of each world's commands; None for a faultless link.
     """
 
-    changing = ("servo", "predicted", "last_action", "_arrived", "_flexing", "_faults")
+    changing = ("servo", "predicted", "last_action", "_arrived", "_flexing", "faults")
 
     def __init__(
         self,
@@ -89,14 +90,10 @@ class Commands:
         self.last_action = np.zeros((num_worlds, len(SERVOS)))
         self._arrived = self.servo.copy()
         self._flexing = np.ones((num_worlds, len(SERVOS)), dtype=bool)
-        self._faults: list[LinkFaults | None] = [None] * num_worlds
+        self.faults: list[LinkFaults | None] = [None] * num_worlds
         self._map = CommandMap(model if isinstance(model, Hand) else HPAC, num_worlds)
         # Most tasks begin with the same posture.
         self._start_of = lru_cache(maxsize=16)(partial(_start_of, self._map.bounds))
-
-    def disturb(self, world: int, faults: LinkFaults | None) -> None:
-        """Let a share of a world's commands be lost or late from now on."""
-        self._faults[world] = faults
 
     def start(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
         """Begin episodes in some worlds: hands at rest at the synergies of their setups."""
@@ -155,7 +152,7 @@ class Commands:
         """
         self.servo = streamed_servo(self.servo, target, 1.0 / CONTROL_HZ, self._map.bounds)
         arrived = self.servo.copy()
-        for world, faults in enumerate(self._faults):
+        for world, faults in enumerate(self.faults):
             share = 1.0 if faults is None else faults.moved()
             if self.transmit is not None and share:
                 arrived[world] = self.transmit(self.command).servo

@@ -133,7 +133,7 @@ class Episodes:
             setup_rng, camera_rng = rng.spawn(2)
             values = self.randomizations[world].draw(setup_rng)
             setup = changed_setup(_setup(self.task, self.options, setup_rng, own), values)
-            self.commands.disturb(world, _link_faults(values, setup_rng))
+            self.commands.faults[world] = _link_faults(values, setup_rng)
             self._camera.start(world, setup, drawn_value(values, "sensor_noise", 1.0), camera_rng)
             setups.append(setup)
             drawn.append({name: list(value) for name, value in values.items()})
