@@ -25,7 +25,7 @@ from hpac_gym.bridge import (
 )
 from hpac_gym.bridge.firmware import BUILD_VARIABLE
 from hpac_gym.model import HPAC, ServoCommand, stream_command
-from tests.processes import wait_for
+from tests.processes import wait_for_the_end
 
 POSE = np.array([0.5, 0.4, 0.3, 0.2, 0.1, 0.6])
 
@@ -115,16 +115,7 @@ def test_the_board_ends_with_its_parent(tmp_path):
     answer = subprocess.run(
         [sys.executable, "-c", program], stdout=subprocess.PIPE, text=True, check=False
     )
-    wait_for(lambda: not _alive(int(answer.stdout)), 20)
-
-
-def _alive(pid):
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    with open(f"/proc/{pid}/stat") as stat:
-        return stat.read().split(")")[-1].split()[0] != "Z"
+    wait_for_the_end([int(answer.stdout)], 20)
 
 
 def test_a_board_that_does_not_end_is_killed_after_a_second():
