@@ -19,7 +19,6 @@ from hpac_gym.envs import Grasp, HandEnv, HandVectorEnv, Posture, make_task
 from hpac_gym.envs.registered import options_of_id
 from hpac_gym.envs.snapshots import undeclared
 from hpac_gym.errors import EnvError, HpacError, ParameterError, ShapeError
-from hpac_gym.physics.simulation import is_installed
 from hpac_gym.tasks.task import Task
 from hpac_gym.tasks.terms import RewardTerm, Term, column
 from tests.processes import ROOT, python
@@ -373,10 +372,3 @@ def test_an_unknown_option_is_named():
         TypeError, match="unknown options limits: there are config, object, limit, hand"
     ):
         gymnasium.make("mytasks:My-Gentle-v0", limits=3)
-
-
-def test_importing_the_package_loads_no_physics():
-    heavy = ("scipy", "mujoco", "pybullet", "torch", "trimesh", "hpac_gym.tasks", "hpac_gym.envs")
-    script = f"import sys, hpac_gym; print([m for m in sys.modules if m.startswith({heavy!r})])"
-    assert run(ROOT, "-c", script) == "[]\n"
-    assert is_installed("mujoco")
