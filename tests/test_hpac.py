@@ -279,11 +279,19 @@ def test_a_closed_output_is_one_line_and_status_2():
     )
 
 
-def test_a_reader_that_leaves_early_is_no_error():
-    command = f"{sys.executable} -m hpac --help | head -1"
-    done = subprocess.run(command, shell=True, capture_output=True, text=True, timeout=600)
-    assert done.stdout.count("\n") == 1
-    assert done.stderr == ""
+@pytest.mark.parametrize("stream", ["out", "err"])
+def test_only_a_reader_of_the_output_that_leaves_ends_a_command_without_an_error(stream):
+    script = (
+        "import sys; from hpac_gym.command import run; "
+        f"run(lambda: print('word', file=sys.std{stream}, flush=True))"
+    )
+    reader, writer = os.pipe()
+    os.close(reader)
+    ends = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, f"std{stream}": writer}
+    done = subprocess.run([sys.executable, "-c", script], **ends, check=False)
+    os.close(writer)
+    assert (done.returncode == 0) == (stream == "out")
+    assert not done.stderr
 
 
 WITHOUT_PACKAGES = """

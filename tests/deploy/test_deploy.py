@@ -7,7 +7,6 @@ import json
 import os
 import re
 import signal
-import subprocess
 import sys
 import time
 from contextlib import closing, nullcontext
@@ -376,20 +375,6 @@ def test_an_episode_that_nobody_follows_goes_on(stderr, path, capsys, monkeypatc
     monkeypatch.undo()
     assert (status, len(said.out.splitlines())) == (0, 2)
     assert "done: 64 commands" in said.out
-
-
-@pytest.mark.parametrize("stream", ["out", "err"])
-def test_only_a_reader_of_the_output_that_leaves_ends_a_command_without_an_error(stream):
-    script = (
-        "import sys; from hpac_gym.command import run; "
-        f"run(lambda: print('word', file=sys.std{stream}, flush=True))"
-    )
-    reader, writer = os.pipe()
-    os.close(reader)
-    ends = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, f"std{stream}": writer}
-    done = subprocess.run([sys.executable, "-c", script], **ends, check=False)
-    os.close(writer)
-    assert (done.returncode == 0) == (stream == "out")
 
 
 def test_an_episode_leaves_a_log_and_a_hand_without_pulses(path, capsys):
