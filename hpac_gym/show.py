@@ -122,8 +122,14 @@ def _film(path: Path) -> Iterator[Any]:
     import imageio.v2 as imageio
 
     if path.suffix == ".mp4":
-        import imageio_ffmpeg  # noqa: F401  an extra, whose absence imageio tells in 29 lines
+        import imageio_ffmpeg  # an extra, whose absence imageio tells in 29 lines
 
     how = {"format": path.suffix, **FILMS[path.suffix]}
-    with replacing(path) as temporary, imageio.get_writer(temporary, **how) as film:
-        yield film
+    with replacing(path) as temporary:
+        with imageio.get_writer(temporary, **how) as film:
+            yield film
+        if path.suffix == ".mp4":  # a full disk fails in ffmpeg alone
+            try:
+                imageio_ffmpeg.count_frames_and_secs(temporary)
+            except RuntimeError:
+                raise OutputError(f"cannot write '{path}': is the disk full?") from None

@@ -8,10 +8,12 @@ from typing import ClassVar
 
 import gymnasium
 import numpy as np
+import pytest
 from gymnasium.envs.registration import EnvSpec
 
 import hpac
-from hpac_gym import progress
+from hpac_gym import progress, show
+from hpac_gym.output import OutputError
 from hpac_gym.policies.loading import shipped_for
 from hpac_gym.view.page import HandPage
 from tests.options import refused
@@ -95,3 +97,14 @@ def test_a_film_without_its_encoder_names_the_extra(tmp_path, capsys, monkeypatc
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     said = refused(capsys, lambda: hpac.main(["show", "--record", str(tmp_path / "film.mp4")]))
     assert said.startswith("error: this command needs more: pip install '.[video]'")
+
+
+def test_a_film_that_ffmpeg_could_not_finish_replaces_none(tmp_path):
+    path = tmp_path / "film.mp4"
+    path.write_bytes(b"a good film")
+    with pytest.raises(OutputError, match="is the disk full"), show._film(path) as film:  # noqa: PT012
+        film.append_data(np.zeros((32, 32, 3), np.uint8))
+        film.close()
+        (temporary,) = set(tmp_path.iterdir()) - {path}
+        temporary.write_bytes(b"half a film")
+    assert path.read_bytes() == b"a good film"

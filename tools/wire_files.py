@@ -43,7 +43,7 @@ def protocol_header(hand: Hand = HPAC) -> str:
             for part, value in zip(_PARTS, protocol.DESCRIPTION["firmware_version"], strict=True)
         ),
         f"#define HPAC_SERVOS {len(SERVOS)}",
-        f"#define HPAC_LIMITS_HASH 0x{limits_hash(hand):08x}u /* of the table below; hpac_config_hash() of the table in use */",
+        f"#define HPAC_LIMITS_HASH 0x{limits_hash(hand):08x}u /* of the table below; hpac_servo_hash() of the table in use */",
         "",
         "/* Frame: header, payload, CRC-32 over both. */",
         *(f"#define HPAC_AT_{field.name.upper()} {field.offset}u" for field in protocol.HEADER),

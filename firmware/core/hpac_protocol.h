@@ -8,7 +8,7 @@
 #define HPAC_FIRMWARE_MINOR 2u
 #define HPAC_FIRMWARE_PATCH 0u
 #define HPAC_SERVOS 6
-#define HPAC_LIMITS_HASH 0xa6ace921u /* of the table below; hpac_config_hash() of the table in use */
+#define HPAC_LIMITS_HASH 0xa6ace921u /* of the table below; hpac_servo_hash() of the table in use */
 
 /* Frame: header, payload, CRC-32 over both. */
 #define HPAC_AT_VERSION 0u

@@ -229,6 +229,7 @@ class Connection:
                     if not self.ended:
                         greeted = self.info is not None
                         unconfirmed, interrupt = release(self.exchange, greeted, self._timeout)
+                        self.ended = True  # before the turn goes to another thread's call
                 told = isinstance(error, RejectedError) and error.reason == Reason.session.name
                 if unconfirmed and not (unconfirmed == TAKEN_OVER and told):
                     if error is not None:
@@ -238,10 +239,9 @@ class Connection:
         finally:
             with suppress(Exception):  # must not replace the program's own exception
                 self.exchange.transport.close()
-            if not self.ended:
-                self.ended = True
-                self.known.forget()
-                interrupts.link_closed(self)
+            self.ended = True
+            self.known.forget()
+            interrupts.link_closed(self)
         already_ending = isinstance(error, KeyboardInterrupt | SystemExit)
         if interrupt is not None and not already_ending:
             raise interrupt

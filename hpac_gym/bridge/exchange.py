@@ -22,6 +22,10 @@ _ANSWERS = {"hello": "device_hello", "status": "device_status"}
 """Answers to executed messages other than ACK, which answers all others and every refusal."""
 
 _SEQ_MAX = 0xFFFF
+_SEQ_LEAD = 0x4000
+"""By how much the number of another message may exceed that of the last MOVE: a hand refuses the next
+one 0x8000 after the last that it accepted.
+"""
 _ROUND_TRIPS_KEPT = 100_000
 _READ_MAX = 60.0
 """Longest time of one read [s]: a port cannot wait for ever."""
@@ -137,6 +141,7 @@ class Exchange:
         self._check = check
         self._log = log
         self._seq = 0
+        self._moved = 0
         self._open: dict[int, _Open] = {}
 
     def request(
@@ -192,7 +197,12 @@ class Exchange:
         self._receive_until(self.transport.now() + seconds, None)
 
     def _frame(self, name: str, fields: Fields | None, flags: int = 0) -> Frame:
-        self._seq = self._seq % _SEQ_MAX + 1  # 0 is reserved for unsolicited messages of the hand
+        number = self._seq % _SEQ_MAX + 1  # 0 is reserved for unsolicited messages of the hand
+        if name == "move":
+            self._moved = number
+        elif (number - self._moved) % (_SEQ_MAX + 1) > _SEQ_LEAD:
+            number = self._moved % _SEQ_MAX + 1
+        self._seq = number
         usual = {"session": self.session, "nonce": self.session, "period_ms": 0}
         ours = {part.name: usual[part.name] for part in MESSAGES[name].fields if part.name in usual}
         return Frame(name, self._seq, flags, ours | dict(fields or {}))

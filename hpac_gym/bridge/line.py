@@ -14,6 +14,7 @@ from typing import Concatenate, ParamSpec, Self, TypeVar
 from hpac_gym.bridge.connection import Connection, Turns
 from hpac_gym.bridge.errors import (
     BridgeError,
+    FaultError,
     FrameError,
     PortError,
     StoppedError,
@@ -22,7 +23,7 @@ from hpac_gym.bridge.exchange import Exchange, LinkStatistics, WireLog
 from hpac_gym.bridge.frame import Fields
 from hpac_gym.bridge.interrupts import interrupts
 from hpac_gym.bridge.limits import BoardTable
-from hpac_gym.bridge.protocol import State
+from hpac_gym.bridge.protocol import Fault, State
 from hpac_gym.bridge.reports import HandInfo, HandStatus
 from hpac_gym.bridge.transport import Transport, open_transport
 from hpac_gym.model import HPAC, Hand
@@ -166,14 +167,19 @@ class Line:
         connection = self._connected()
         connection.require_owner()
         with self._turns.preempt("estop()", lambda: connection.exchange.send("estop")):
-            self._connected().request("estop")
+            try:
+                self._connected().request("estop")
+            except FaultError:  # unanswered, but a later STATUS confirms it
+                if connection.known.fault != Fault.estop.name or connection.known.may_have_power:
+                    raise
 
     @turn
     def clear(self) -> None:
         """Disarm, or leave a latched fault: no motion, no pulses, state IDLE.
 
         Raises:
-            RejectedError: The fault cannot be cleared: the board's own servo table is unusable.
+            RejectedError: The fault cannot be cleared: the board's own servo table is unusable, or its
+                e-stop input is pressed.
         """
         self._connected().request("clear")
 

@@ -57,8 +57,8 @@ class SerialTransport(Transport):
     `lock=False` opens it beside the program that has the lock: for a stop, which a hand accepts
     from anybody. Each of the two then reads only some of the hand's bytes.
 
-    DTR and RTS are set low before the port opens; otherwise many boards reset or stay in their boot
-    loader.
+    DTR and RTS are set low as soon as the port is open; otherwise many boards stay in their boot
+    loader. A board may reset all the same.
 
     Args:
         port: `/dev/ttyUSB0`, `COM3`, the path of a pseudo-terminal, `socket://HOST:PORT`, or any

@@ -124,7 +124,10 @@ def _appearing(out: Path) -> Iterator[Path]:
         prefix=f".{out.name}-", dir=writable_folder(out.absolute().parent)
     ) as root:
         yield Path(root)
-        shutil.move(Path(root, "written"), out)
+        try:
+            Path(root, "written").rename(out)
+        except OSError as error:
+            raise DatasetError(f"'{out}' cannot be made: {error.strerror}") from None
 
 
 def record(

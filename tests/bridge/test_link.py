@@ -211,6 +211,23 @@ def test_a_slow_hand_whose_servos_hold_without_power_is_armed_from_the_fist():
         assert not link.last_status.servo.any()
 
 
+def test_a_hand_that_has_held_for_an_hour_moves_again(link):
+    """Numbers of other messages stay within what a MOVE may be ahead of the last one."""
+    link.arm()
+    for command in streamed(np.random.default_rng(6), 2):
+        link.move(command)
+        link.wait()
+        for _ in range(0x8001):
+            link.exchange.send("heartbeat")
+
+
+def test_a_hand_that_has_restarted_in_a_fault_says_that_the_link_is_over(virtual_hand, link):
+    virtual_hand.restart(Reset.brownout)
+    for _ in range(2):
+        with pytest.raises(RejectedError, match="the board has restarted; this link is over"):
+            link.clear()
+
+
 # --- bad lines
 # ------------------------------------------------------------------------------------------------------
 

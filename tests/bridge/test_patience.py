@@ -102,6 +102,38 @@ def test_a_stop_whose_sender_reads_the_answers_is_told_as_a_stop(virtual_hand):
             link.heartbeat()
 
 
+def test_a_stop_that_only_a_later_status_confirms_is_confirmed(virtual_hand):
+    robbed = Robbed(virtual_hand)
+    with HandLink(lambda: robbed) as link:
+        link.arm()
+        robbed.stolen = 3
+        link.estop()
+        assert not virtual_hand.pulses().any()
+
+
+def test_no_call_of_another_thread_comes_between_the_last_words_and_the_end(virtual_hand):
+    said = []
+
+    def arm():
+        try:
+            link.arm()
+        except PortError as error:
+            said.append(f"{error}")
+
+    class Slow(VirtualTransport):
+        def close(self):
+            other = threading.Thread(target=arm)
+            other.start()
+            other.join()
+            super().close()
+
+    link = HandLink(lambda: Slow(virtual_hand))
+    link.connect()
+    link.close()
+    assert said == ["not connected"]
+    assert not virtual_hand.pulses().any()
+
+
 @pytest.mark.parametrize("stolen", [0, 1, 2, 3])
 def test_a_stopped_program_leaves_the_fault_even_if_the_stops_sender_reads_its_answers(
     virtual_hand, stolen
@@ -222,7 +254,7 @@ def test_the_counters_of_a_session_are_exact(virtual_hand):
 
 def test_sequence_numbers_go_round_without_zero(virtual_hand):
     exchange = Exchange(virtual_hand.connect(), LinkStatistics())
-    exchange._seq = 0xFFFE
+    exchange._seq = exchange._moved = 0xFFFE
     assert [exchange._frame("status", {"period_ms": 0}, 0).seq for _ in range(3)] == [0xFFFF, 1, 2]
 
 

@@ -11,7 +11,7 @@ from agents import RunError, clone
 from hpac import main
 from hpac_gym.errors import DatasetError
 from hpac_gym.evaluation import dataset as module
-from hpac_gym.evaluation.dataset import read_dataset, record
+from hpac_gym.evaluation.dataset import _appearing, read_dataset, record
 from hpac_gym.output import OutputError
 from hpac_gym.policies import read_policy
 from hpac_gym.policies.loading import load_policy
@@ -207,3 +207,11 @@ def test_nothing_is_cloned_from_failures_or_from_no_dataset(tmp_path):
         clone.main([str(tmp_path / "random"), "--out", str(tmp_path / "policy")])
     with pytest.raises(DatasetError, match="is not a dataset"):
         clone.main([str(tmp_path), "--out", str(tmp_path / "policy")])
+
+
+def test_a_folder_that_another_program_has_made_meanwhile_is_left(tmp_path):
+    out = tmp_path / "data"
+    with pytest.raises(DatasetError, match="data' cannot be made: "), _appearing(out) as root:  # noqa: PT012
+        (root / "written").mkdir()
+        (out / "other").mkdir(parents=True)
+    assert [path.name for path in out.iterdir()] == ["other"]
