@@ -70,19 +70,34 @@ def read_draws(hand_file: Path, hand: Hand) -> list[Hand]:
     """The drawn hands that lie beside a hand file.
 
     Raises:
-        PosteriorError: There are none, or they are of another file.
+        PosteriorError: There are none, or none of a digit or the CMC; or they are of another file.
     """
     path = report_folder(hand_file) / "draws.json"
     try:
         text = json.loads(path.read_text(encoding="utf-8"))
         hands = drawn_hands(hand, text["draws"])
         same = np.allclose(text["zero"], hand.calibration.servo_zero, rtol=0, atol=1e-9)
-    except (OSError, ValueError, LookupError, TypeError, AttributeError, StopIteration) as error:
+    except (
+        OSError,
+        ValueError,
+        LookupError,
+        TypeError,
+        AttributeError,
+        StopIteration,
+        OverflowError,
+        RecursionError,
+    ) as error:
         raise PosteriorError(
             f"{path}, which 'hpac calibrate' writes beside {hand_file}, cannot be read: {error}"
         ) from None
     if not same:
         raise PosteriorError(
             f"{path} is of another hand than {hand_file}: the servos' zeros differ"
+        )
+    missing = [name for name in (*hand.digits, _CMC) if name not in text["draws"]]
+    if missing:
+        raise PosteriorError(
+            f"{path} has no draws of {', '.join(missing)}, whose numbers are the design's and not this hand's: sweep all "
+            "servos"
         )
     return hands

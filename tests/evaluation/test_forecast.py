@@ -152,6 +152,17 @@ def test_a_file_without_a_sweep_and_one_of_another_hand_are_refused(file, tmp_pa
     assert "is of another hand than" in said
 
 
+def test_a_hand_that_was_swept_in_part_is_refused(file, capsys):
+    """Its other digits are nobody's, and would be forecast as if they were known exactly."""
+    draws = file.with_name("hand-report") / "draws.json"
+    text = json.loads(draws.read_text())
+    for name in ("middle", "thumb_cmc"):
+        del text["draws"][name]
+    draws.write_text(json.dumps(text))
+    said = refused(capsys, lambda: main(["forecast", str(file)]))
+    assert "has no draws of middle, thumb_cmc, whose numbers are the design's" in said
+
+
 @pytest.mark.parametrize(
     "damaged", [{"draws": {}}, {"zero": "half"}, {"zero": None}, {"zero": [0, 0]}]
 )
@@ -159,3 +170,12 @@ def test_damaged_draws_are_refused(file, capsys, damaged):
     draws = file.with_name("hand-report") / "draws.json"
     draws.write_text(json.dumps(json.loads(draws.read_text()) | damaged))
     assert "cannot be read" in refused(capsys, lambda: main(["forecast", str(file)]))
+
+
+def test_draws_too_deep_or_too_large_are_refused(file, capsys):
+    draws = file.with_name("hand-report") / "draws.json"
+    text = json.loads(draws.read_text())
+    text["draws"]["index"][0][0] = 10**400
+    for damaged in (json.dumps(text), "[" * 100_000):
+        draws.write_text(damaged)
+        assert "cannot be read" in refused(capsys, lambda: main(["forecast", str(file)]))
