@@ -173,7 +173,12 @@ def _judged_joints(
         garbage = (np.abs(deviations[:, joint]) > FAR * noise).sum() / (
             ~np.isnan(deviations[:, joint])
         ).sum()
-        if noise > MOST_NOISE:
+        rests = (~np.isnan(segment.joint_pos[segment.phase == REST, joint])).sum()
+        if rests < LEAST_REST:
+            faults.append(
+                f"{where}: {JOINTS[joint]} is measured in {rests} samples at rest, at least {LEAST_REST} are needed"
+            )
+        elif noise > MOST_NOISE:
             faults.append(
                 f"{where}: {JOINTS[joint]} is measured to {np.degrees(noise):.1f}°, {np.degrees(MOST_NOISE):.0f}° is needed"
             )

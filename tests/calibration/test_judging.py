@@ -11,7 +11,7 @@ from experiments import labels
 from experiments.bench import Protocol, metal_sweeps
 from hpac_gym.calibration import calibrate, sweep
 from hpac_gym.calibration.judging import judged, lag_behind
-from hpac_gym.calibration.record import RecordError, Sweep, write_sweep
+from hpac_gym.calibration.record import REST, RecordError, Sweep, write_sweep
 from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, SERVOS
 from tests.options import parsed
 
@@ -93,6 +93,14 @@ REFUSED = [
             record, "middle_dip", 1.25 * record.joint_pos[:, JOINT_INDEX["middle_dip"]]
         ),
         r"middle_dip turns 1\.\d+ rad for each rad of middle_mcp",
+    ),
+    (
+        lambda record: with_joint(
+            record,
+            "index_pip",
+            np.where(record.phase == REST, np.nan, record.joint_pos[:, JOINT_INDEX["index_pip"]]),
+        ),
+        "sweep of index_mcp: index_pip is measured in 0 samples at rest, at least 5 are needed",
     ),
     (blurred, r"thumb_ip is measured to .*°, 1° is needed"),
 ]
