@@ -126,13 +126,11 @@ def identify(
 def _check_radii(fit: DigitFit, prior: Prior) -> None:
     """Reject known radii that would imply implausible strains or ratios."""
     for item, centre, sigma in zip(fit.estimates, prior.centre, prior.sigma, strict=True):
-        if (
-            item.name.endswith(("_strain", "_ratio"))
-            and abs(np.log(item.value) - centre) > _CONTRADICTION * sigma
-        ):
+        most = _CONTRADICTION * sigma
+        if item.name.endswith(("_strain", "_ratio")) and abs(np.log(item.value) - centre) > most:
             raise IdentificationError(
-                f"the record contradicts --radii-known: {item.formula} would be "
-                f"{item.value / np.exp(centre):.2f} times the design's"
+                f"the record contradicts --radii-known: {item.formula} would be {item.value / np.exp(centre):.4f} times the "
+                f"design's, beyond {np.exp(-most):.4f} to {np.exp(most):.4f} times"
             )
 
 
@@ -141,13 +139,14 @@ def _enough(record: Sweep, servo: int, base: Hand, least_points: int) -> DigitSa
     if samples is None:
         joints = ", ".join(JOINTS[joint] for joint in joints_of_servo(servo)[::-1])
         raise IdentificationError(f"no measurement of {joints} while servo {SERVOS[servo]} sweeps")
-    count = len(np.unique(samples.point[samples.direction == FLEXION]))
+    seen = samples.only(~np.isnan(samples.joint_pos).all(axis=1))
+    count = len(np.unique(seen.point[seen.direction == FLEXION]))
     if count < least_points:
         at_stops = f" ({samples.at_stops} more are at stops)" if samples.at_stops else ""
         raise IdentificationError(
-            f"{count} sampling points of servo {SERVOS[servo]}{at_stops}, fewer than {least_points}"
+            f"{count} sampling points of servo {SERVOS[servo]} are measured{at_stops}, fewer than {least_points}"
         )
-    share = np.ptp(samples.servo) / (base.servo_max[servo] - base.servo_min[servo])
+    share = np.ptp(seen.servo) / (base.servo_max[servo] - base.servo_min[servo])
     if share < LEAST_RANGE:
         raise IdentificationError(
             f"servo {SERVOS[servo]} sweeps {share:.0%} of its range, less than {LEAST_RANGE:.0%}"

@@ -50,7 +50,7 @@ class DigitSamples:
     direction: Array
     """`FLEXION` or `EXTENSION`, shape (k,)."""
     point: np.ndarray
-    """Number of the sampling point, shape (k,)."""
+    """Number of the sampling point, as if they were numbered one by one, shape (k,)."""
     joint_pos: Array
     """Mean of the samples without outliers, corrected for drift, shape (k, joints) [rad]; NaN
     without samples.
@@ -107,6 +107,8 @@ def digit_samples(record: Sweep, servo: int, base: Hand = HPAC) -> DigitSamples 
     of_points: dict[str, Any] = {
         name: np.concatenate([getattr(part, name) for part in parts]) for name in _OF_POINTS
     }
+    numbers, rank = np.unique(of_points["point"], return_inverse=True)
+    of_points["point"] = numbers[0] + rank
     unseen = np.isnan(of_points["joint_pos"]).all(axis=0)
     if unseen.all():
         return None

@@ -26,7 +26,7 @@ from hpac_gym.calibration.combinations import SweptDigit, combinations, digit_wi
 from hpac_gym.calibration.fitting import IdentificationError
 from hpac_gym.calibration.identification import identify
 from hpac_gym.calibration.record import JOINT_COLUMNS, PHASES, REST, Sweep, concatenate, write_sweep
-from hpac_gym.calibration.samples import digit_samples
+from hpac_gym.calibration.samples import digit_samples, held_out_rows
 from hpac_gym.model import (
     HPAC,
     JOINT_INDEX,
@@ -167,7 +167,10 @@ def test_known_radii_let_the_elasticity_be_told(nominal_record):
 def test_radii_that_are_not_what_was_said_are_told(nominal_record):
     """A PIP ratio that is off by 3 % would need a strain that no tendon has."""
     off = 0.97 * nominal_record.joint_pos[:, JOINT_INDEX["index_pip"]]
-    with pytest.raises(IdentificationError, match=r"index: the record contradicts --radii-known"):
+    with pytest.raises(
+        IdentificationError,
+        match=r"index: .* --radii-known: R_MCP/R_PIP would be 0\.99\d\d times the design's, beyond 0\.9970 to 1\.0030 times",
+    ):
         identify(spoiled(nominal_record, index_pip=(slice(None), off)), radii_known=True)
 
 
@@ -320,13 +323,20 @@ def test_a_record_that_supports_no_fit_is_told(record):
     flexion = record.phase == PHASES.index("flexion")
     with pytest.raises(
         IdentificationError,
-        match=r"supports no fit: .*index: 5 sampling points of .*index_mcp, fewer than 8",
+        match=r"supports no fit: .*index: 5 sampling points of .*index_mcp are measured, fewer than 8",
     ):
         identify(record[~flexion | (record.point < 5)])
     with pytest.raises(
         IdentificationError, match=r"index: servo index_mcp sweeps 27% of its range, less than 30%"
     ):
         identify(record[~flexion | (record.point < 9)])
+    unseen = record.with_joint_pos(
+        np.where(
+            (record.point < 9)[:, None], record.joint_pos, np.nan
+        )  # points without a measurement
+    )
+    with pytest.raises(IdentificationError, match=r"index_mcp sweeps 27% of its range"):
+        identify(unseen)
     with pytest.raises(
         IdentificationError, match="no measurement of index_mcp, index_pip, index_dip"
     ):
@@ -400,6 +410,14 @@ def test_held_out_points_are_no_part_of_the_fit(record):
         found.append(values(identify(index, hold_out=True).fits["index"].swept))
     assert found[1] == pytest.approx(found[0], rel=1e-3)
     assert found[2] != pytest.approx(found[0], rel=1e-3)
+
+
+@pytest.mark.parametrize("first", [0, 2])
+def test_every_fourth_point_is_held_out_however_they_are_numbered(record, first):
+    index = record[record.swept == 1]
+    number = np.where(index.point >= 0, 4 * index.point + first, -1)
+    samples = digit_samples(replace(index, point=number), 1)
+    assert held_out_rows(samples).sum() == pytest.approx(len(samples.servo) / 4, abs=1)
 
 
 def test_a_record_without_support_leaves_no_file(record, tmp_path):
