@@ -112,11 +112,10 @@ def run(arguments: argparse.Namespace) -> int:
     remarks += doubts(identified, base)
     text = hand_to_toml(named(identified, base, arguments.record.name))
     written = hand_from_toml(text, str(arguments.out))
-    errors = (
-        file_errors(identified, written) if second is None else check_errors(second, written, base)
-    )
+    errors = own = file_errors(identified, written)
     if second:
-        remarks += contradictions(errors)
+        errors = check_errors(second, written, base)
+        remarks += contradictions({name: errors[name] for name in own if name in errors})
     write_draws(arguments.out, written, identified)
     result = summary(identified, base, errors, remarks, bool(second))
     told = report(identified, base, errors, remarks, arguments.check.name if second else "")

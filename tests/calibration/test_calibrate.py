@@ -228,6 +228,18 @@ def test_a_camera_that_is_not_square_shows_in_the_second_sweep(record, hidden, c
     assert "the two sweeps differ by more than 1.5° in" in said.out
 
 
+def test_a_check_that_measures_more_contradicts_nothing(hidden, calibrate):
+    """What the first sweep does not have keeps the design's numbers, which no sweep contradicts."""
+    first, second = (
+        metal_sweeps([hidden], seed, servos=("index_mcp", "middle_mcp")) for seed in (1, 2)
+    )
+    status, said = calibrate(of_index(first[0]), second=second[0])
+    assert status == 0
+    assert "Judged on" in said.out
+    assert "middle_pip" not in said.out.partition("Remark")[2]
+    assert "the two sweeps differ" not in said.out
+
+
 def as_a_share(record):
     return replace(record, servo=record.servo / HPAC.servo_max)
 
