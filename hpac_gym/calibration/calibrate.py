@@ -136,6 +136,6 @@ def named(identified: Identification, base: Hand, record: str) -> Hand:
     sources = {**base.sources, **dict.fromkeys(fitted, source)}
     for field in ("d1", "spring_stiffness", "tendon_stiffness"):
         sources[field] = f"of {base.name}: angles do not depend on it once the others are fitted"
-    if any(fit.samples.stops for fit in identified.fits.values()):
+    if any(samples.stops for samples in identified.samples.values()):
         sources["workspace"] = f"of {base.name}, up to the stops in {record}"
     return replace(identified.hand, name=f"{base.name}, calibrated", sources=sources)

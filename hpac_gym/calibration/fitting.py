@@ -17,6 +17,7 @@ from hpac_gym.calibration.combinations import (
     values,
 )
 from hpac_gym.calibration.processing import robust_deviation
+from hpac_gym.calibration.record import RecordError
 from hpac_gym.calibration.samples import DigitSamples, held_out_rows
 from hpac_gym.errors import HpacError
 from hpac_gym.model import Digit
@@ -252,6 +253,11 @@ def soft_beyond_outliers(squares: Array, data: int) -> Array:
 def fit_digit(
     samples: DigitSamples, base: Digit, prior: Prior, hold_out: bool, draws: int
 ) -> DigitFit:
+    """Fit a digit.
+
+    Raises:
+        RecordError: No digit of this kind makes such points, whatever its numbers.
+    """
     fitted = samples.only(~held_out_rows(samples)) if hold_out else samples
     problem = _Problem(fitted, base, prior)
     count = len(prior.centre)
@@ -259,11 +265,7 @@ def fit_digit(
     first = problem.solve(start, 1.0).x
     scale = max(robust_deviation(problem.misfit(first) / fitted.deviation[problem.seen]), 1.0)
     result = problem.solve(first, scale)
-    worst = robust_deviation(problem.misfit(result.x))
-    if worst > WORST_FIT:
-        raise IdentificationError(
-            f"the model misses the points by {np.degrees(worst):.2g}°, more than {np.degrees(WORST_FIT):.2g}°"
-        )
+    _check_fit(base.name, problem.misfit(result.x))
     solution = result.x[:count]
     covariance = np.linalg.inv(result.jac.T @ result.jac)[:count, :count]
     swept = digit_with(base, prior.values(solution))
@@ -274,6 +276,15 @@ def fit_digit(
         stiff = replace(problem, prior=replace(prior, sigma=sigma))
         drawn = stiff.draws(result.x, scale, draws)
     return DigitFit(swept, _estimates(prior, solution, covariance), samples, scale, drawn)
+
+
+def _check_fit(name: str, misfit: Array) -> None:
+    worst = robust_deviation(misfit)
+    if worst > WORST_FIT:
+        raise RecordError(
+            f"{name}: the model misses the points by {np.degrees(worst):.2g}°, more than {np.degrees(WORST_FIT):.2g}°; does a "
+            "tendon slip, or a camera wobble?"
+        )
 
 
 def _estimates(prior: Prior, solution: Array, covariance: Array) -> tuple[Estimate, ...]:
@@ -291,7 +302,11 @@ def _estimates(prior: Prior, solution: Array, covariance: Array) -> tuple[Estima
 def fit_cmc(
     samples: DigitSamples, base: float, hold_out: bool, draws: int
 ) -> tuple[tuple[Estimate, Estimate], Array]:
-    """Fit gain and zero of the directly driven joint, and draw from their posterior."""
+    """Fit gain and zero of the directly driven joint, and draw from their posterior.
+
+    Raises:
+        RecordError: No gain and zero make such points.
+    """
     rows = ~np.isnan(samples.joint_pos[:, 0])
     if hold_out:
         rows &= ~held_out_rows(samples)
@@ -313,6 +328,7 @@ def fit_cmc(
         x_scale=[1.0, ZERO_SPREAD, samples.noise[0], samples.noise[0]],
         loss=lambda squares: soft_beyond_outliers(squares, len(servo)),
     )
+    _check_fit("thumb_cmc", deviation * misfit(result.x)[: len(servo)])
     covariance = np.linalg.inv(result.jac.T @ result.jac)[:2, :2]
     value = result.x[:2]
     spread = np.sqrt(np.diag(covariance))

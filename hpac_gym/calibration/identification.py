@@ -93,6 +93,7 @@ def identify(
     Raises:
         IdentificationError: No digit can be fitted, or `spread` is out of bounds; the message
             states the reason.
+        RecordError: As of `fit_digit` and `fit_cmc`.
     """
     if not 0 < spread < 1:
         raise IdentificationError(f"spread = {spread} must lie between 0 and 1")
@@ -119,7 +120,8 @@ def identify(
         cmc, cmc_draws = fit_cmc(cmc_samples, base.cmc_gain, hold_out, draws)
     except IdentificationError as error:
         kept["thumb_cmc"] = str(error)
-    hand = _identified_hand(base, fits, cmc)
+    stops = cmc_samples.stops if cmc_samples else {}
+    hand = _identified_hand(base, fits, cmc, stops)
     return Identification(hand, fits, kept, cmc, cmc_samples, cmc_draws)
 
 
@@ -139,7 +141,7 @@ def _enough(record: Sweep, servo: int, base: Hand, least_points: int) -> DigitSa
     if samples is None:
         joints = ", ".join(JOINTS[joint] for joint in joints_of_servo(servo)[::-1])
         raise IdentificationError(f"no measurement of {joints} while servo {SERVOS[servo]} sweeps")
-    seen = samples.only(~np.isnan(samples.joint_pos).all(axis=1))
+    seen = samples.only(np.flatnonzero(np.isfinite(samples.joint_pos).any(axis=1)))
     count = len(np.unique(seen.point[seen.direction == FLEXION]))
     if count < least_points:
         at_stops = f" ({samples.at_stops} more are at stops)" if samples.at_stops else ""
@@ -155,9 +157,13 @@ def _enough(record: Sweep, servo: int, base: Hand, least_points: int) -> DigitSa
 
 
 def _identified_hand(
-    base: Hand, fits: dict[str, DigitFit], cmc: tuple[Estimate, Estimate] | None
+    base: Hand,
+    fits: dict[str, DigitFit],
+    cmc: tuple[Estimate, Estimate] | None,
+    stops: dict[str, float],
 ) -> Hand:
-    workspace = dict(base.workspace)
+    """The hand of the fits; `stops` are the CMC's."""
+    stops = dict(stops)
     for fit in fits.values():
         bounds = dict(fit.samples.stops)
         joints = fit.swept.digit.joints
@@ -169,10 +175,12 @@ def _identified_hand(
         ]
         if met:  # the driven joint's range ends where any joint of its digit meets a stop
             bounds[joints[0]] = float(min(met))
-        for joint, angle in bounds.items():
-            low, high = workspace[joint]
-            if low < angle < high:
-                workspace[joint] = (low, angle)
+        stops |= bounds
+    workspace = dict(base.workspace)
+    for joint, angle in stops.items():
+        low, high = workspace[joint]
+        if low < angle < high:
+            workspace[joint] = (low, angle)
     swept = {name: fit.swept for name, fit in fits.items()}
     gain_and_zero = (cmc[0].value, cmc[1].value) if cmc else None
     try:

@@ -11,7 +11,7 @@ from hpac_gym.calibration.combinations import SweptDigit, values
 from hpac_gym.calibration.file_errors import BOUND, FileError, expected_worst_deg, residuals
 from hpac_gym.calibration.fitting import DigitFit
 from hpac_gym.calibration.identification import Identification
-from hpac_gym.calibration.samples import held_out_rows
+from hpac_gym.calibration.samples import DigitSamples, held_out_rows
 from hpac_gym.figures import GREEN, GREY, RED, label, new_figure
 from hpac_gym.model import Hand
 from hpac_gym.output import markdown
@@ -100,10 +100,11 @@ def report(
     lines += [EFFECTIVE, ""]
     for name, fit in identified.fits.items():
         lines += _digit_report(name, fit, base)
-    if identified.cmc:
+    if identified.cmc and identified.cmc_samples:
         gain, zero = identified.cmc
         lines += ["## thumb CMC", ""]
-        lines += [f"Effective g_CMC {gain.value:.4f}, zero {np.degrees(zero.value):.2f}°.", ""]
+        lines += [f"Effective g_CMC {gain.value:.4f}, zero {np.degrees(zero.value):.2f}°."]
+        lines += [*_stops(identified.cmc_samples), ""]
     lines += [
         f"{name} keeps the design's parameters: {why}." for name, why in identified.kept.items()
     ]
@@ -130,13 +131,17 @@ def _digit_report(name: str, fit: DigitFit, base: Hand) -> list[str]:
         f"{samples.samples} samples, {samples.outliers} of them outliers. The points scatter {fit.misfit:.2f} times "
         f"as much about the fit as expected from their samples.",
     ]
-    lines += [
+    lines += _stops(samples)
+    lines += [f"Not measured: {', '.join(samples.missing)}."] if samples.missing else []
+    return [*lines, ""]
+
+
+def _stops(samples: DigitSamples) -> list[str]:
+    return [
         f"{joint} rests at {angle:.3f} rad: it, or another joint of the digit, is at a stop. {samples.at_stops} points "
         "are left out; the file's workspace ends there."
         for joint, angle in samples.stops.items()
     ]
-    lines += [f"Not measured: {', '.join(samples.missing)}."] if samples.missing else []
-    return [*lines, ""]
 
 
 def fit_figure(identified: Identification, base: Hand, written: Hand) -> Figure:
