@@ -4,6 +4,7 @@ identify.
 
 import argparse
 import json
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,14 +14,14 @@ from hpac_gym.calibration.doubts import doubts
 from hpac_gym.calibration.file_errors import check_errors, contradictions, file_errors
 from hpac_gym.calibration.identification import SPREAD, Identification, identify
 from hpac_gym.calibration.judging import judged
-from hpac_gym.calibration.posterior import DRAWS, report_folder, write_draws
+from hpac_gym.calibration.posterior import DRAWS, draws_text, report_folder
 from hpac_gym.calibration.record import RecordError, read_sweep
 from hpac_gym.calibration.report import fit_figure, report, summary
 from hpac_gym.calibration.samples import HELD_OUT_EVERY
 from hpac_gym.figures import require, save
 from hpac_gym.model import Hand, hand_to_toml, load_hand
 from hpac_gym.model.files import hand_from_toml
-from hpac_gym.output import OutputError, writable_file, writable_folder, write_text
+from hpac_gym.output import OutputError, replacing, writable_file, writable_folder
 
 OUT = Path("runs/calibrate/hand.toml")
 _IDENTIFIED = (
@@ -116,14 +117,19 @@ def run(arguments: argparse.Namespace) -> int:
     if second:
         errors = check_errors(second, written, base)
         remarks += contradictions({name: errors[name] for name in own if name in errors})
-    write_draws(arguments.out, written, identified)
     result = summary(identified, base, errors, remarks, bool(second))
     told = report(identified, base, errors, remarks, arguments.check.name if second else "")
-    write_text(folder / "report.md", told)
-    write_text(folder / "report.json", json.dumps(result, indent=2) + "\n")
+    texts = {
+        arguments.out: text,
+        folder / "draws.json": draws_text(written, identified),
+        folder / "report.md": told,
+        folder / "report.json": json.dumps(result, indent=2) + "\n",
+    }
     caption = f"{written.name}, {arguments.record.name}; points, every {HELD_OUT_EVERY}th held out"
-    save(fit_figure(identified, base, written), folder / "fit.png", caption)
-    write_text(arguments.out, text)
+    with ExitStack() as together:  # all of them, or none: on a full disk, too
+        for path, content in texts.items():
+            together.enter_context(replacing(path)).write_text(content, encoding="utf-8")
+        save(fit_figure(identified, base, written), folder / "fit.png", caption)
     print(json.dumps(result) if arguments.json else f"{told}\nwritten: {arguments.out}, {folder}")
     return 0
 

@@ -56,14 +56,19 @@ def draws_of(identified: Identification) -> dict[str, list[list[float]]]:
     return draws | ({} if identified.cmc_draws is None else {_CMC: identified.cmc_draws.tolist()})
 
 
+def draws_text(hand: Hand, identified: Identification) -> str:
+    """The contents of `draws.json`."""
+    text = {"zero": hand.calibration.servo_zero, "draws": draws_of(identified)}
+    return json.dumps(text) + "\n"
+
+
 def write_draws(hand_file: Path, hand: Hand, identified: Identification) -> None:
     """Write the draws beside a hand file.
 
     Raises:
         OutputError: As of `write_text`.
     """
-    text = json.dumps({"zero": hand.calibration.servo_zero, "draws": draws_of(identified)})
-    write_text(report_folder(hand_file) / "draws.json", text + "\n")
+    write_text(report_folder(hand_file) / "draws.json", draws_text(hand, identified))
 
 
 def read_draws(hand_file: Path, hand: Hand) -> list[Hand]:

@@ -1,7 +1,9 @@
 """`hpac calibrate`: what its first line is about, what it doubts, and what it refuses."""
 
+import errno
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,6 +24,7 @@ from hpac_gym.calibration.judging import judged
 from hpac_gym.calibration.record import FLEXING, REST, write_sweep
 from hpac_gym.model import HPAC, JOINT_INDEX, SERVOS, load_hand
 from hpac_gym.model.settled import settled_joints_from_servo
+from hpac_gym.output import replacing
 
 
 @pytest.fixture
@@ -88,6 +91,37 @@ def test_a_report_that_cannot_be_written_leaves_the_hand_file_as_it_was(
     assert (status, said.out) == (2, "")
     assert f"error: cannot write '{tmp_path / 'hand-report' / 'report.json'}'" in said.err
     assert (tmp_path / "hand.toml").read_text() == "as it was"
+
+
+@pytest.mark.parametrize("full", ["report.json", "fit.png"])
+def test_a_full_disk_leaves_all_files_of_the_last_calibration(
+    nominal_record, calibrate, tmp_path, monkeypatch, full
+):
+    """A new report beside an old hand file would be read as that file's."""
+    assert calibrate(nominal_record)[0] == 0
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*.*") if path.is_file()}
+    other = nominal_record.with_joint_pos(1.01 * nominal_record.joint_pos)
+    writes = Path.write_text
+
+    def fails(path, *words, **options):
+        if path.stem.startswith(f".{Path(full).stem}-") and path.suffix == Path(full).suffix:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return writes(path, *words, **options)
+
+    def drawn(_, path, __):
+        with replacing(path) as temporary:
+            temporary.write_text("a figure")
+
+    monkeypatch.setattr(Path, "write_text", fails)
+    monkeypatch.setattr("hpac_gym.calibration.calibrate.save", drawn)
+    status, said = calibrate(other)
+    assert status == 2
+    place = tmp_path / "hand-report" / full
+    assert said.err == f"error: cannot write '{place}': No space left on device\n"
+    after = {path: path.read_bytes() for path in tmp_path.rglob("*.*") if path.is_file()}
+    sweep = tmp_path / "sweep.csv"
+    assert before.pop(sweep) != after.pop(sweep)
+    assert after == before
 
 
 def test_a_sweep_is_no_check_on_itself(record, calibrate, tmp_path):
