@@ -246,6 +246,8 @@ class HandPage:
                     self._ghosts[name].pose(posture, shown.wrist)
             if shown.tension is not None:
                 self._hand.pull(shown.tension)
+            if self._object is not None:
+                self._object.visible = shown.object_pos is not None
             if self._object is not None and shown.object_pos is not None:
                 place = HAND_POSITION + shown.wrist + self._hand_turn.apply(shown.object_pos)
                 self._object.position = tuple(place)

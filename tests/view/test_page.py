@@ -72,6 +72,14 @@ def test_a_page_that_something_else_drives_says_so_and_has_no_buttons_for_it():
     page.close()
 
 
+def test_an_object_is_shown_only_where_somebody_has_seen_it():
+    page = HandPage(SceneSetup(ObjectSpec("box", HALF, 0.1, 0.8)), "", driven=True)
+    for place in (None, np.array([0.05, 0.0, 0.1]), None):
+        page.show(Shown(np.zeros(15), np.zeros(6), np.zeros(3), object_pos=place))
+        assert page._object.visible == (place is not None)
+    page.close()
+
+
 # --- in the browser
 
 
