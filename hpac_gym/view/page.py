@@ -279,7 +279,7 @@ def _figures(shown: Shown) -> str:
     """A table of the joints that servos drive, and their tendons."""
     rows = ["| joint | angle [rad] | tendon [N] |", "| --- | --- | --- |"]
     for i, servo in enumerate(SERVOS[: len(DIGITS)]):
-        pull = "" if shown.tension is None else f"{shown.tension[i]:.1f}"
+        pull = "" if shown.tension is None else f"{shown.tension[i].round(1) + 0.0:.1f}"
         angle = shown.joint_pos[JOINT_INDEX[servo]].round(2) + 0.0  # no −0
         rows.append(f"| {servo} | {angle:.2f} | {pull} |")
     return "\n".join(rows) + f"\n\n{shown.text}"
