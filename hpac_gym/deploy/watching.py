@@ -13,20 +13,37 @@ from scipy.spatial.transform import Rotation
 from hpac_gym.bridge import BridgeError, HandLink
 from hpac_gym.bridge.stop import UNCONFIRMED
 from hpac_gym.deploy.observer import Pose
-from hpac_gym.model import HPAC, Hand, elastic_joints_from_servo
+from hpac_gym.model import HPAC, SERVOS, Hand
 from hpac_gym.model.checks import Array
+from hpac_gym.model.maps import CommandMap
 from hpac_gym.physics.engine import SceneSetup
 from hpac_gym.view.page import PICTURE_HZ, HandPage, Shown
 
 ABOUT = "The hand as its commands and the elastic model have it; the object as the camera sees it."
 
 
-def predicted(servo: Array, hand: Hand, pose: Pose | None, wrist: Array, text: str) -> Shown:
-    """The picture of servo angles, shape (6,) [rad], and of an object that is seen."""
-    turn = None if pose is None else Rotation.from_quat(pose.quaternion)
-    place = None if pose is None else np.asarray(pose.position)
-    joints = elastic_joints_from_servo(np.clip(servo, hand.servo_min, hand.servo_max), hand)
-    return Shown(joints, servo, wrist, None, place, turn, text)
+class Predicted:
+    """Pictures of a hand, one after the other.
+
+    Args:
+        hand: its model, of which zeros, slack and friction are taken into account.
+    """
+
+    def __init__(self, hand: Hand = HPAC) -> None:
+        self._map = CommandMap(hand)
+        self._flexing = np.ones(len(SERVOS), dtype=bool)
+        self._last = np.full(len(SERVOS), -np.inf)
+
+    def __call__(self, servo: Array, pose: Pose | None, wrist: Array, text: str) -> Shown:
+        """The picture of servo angles, shape (6,) [rad], and of an object that is seen."""
+        turn = None if pose is None else Rotation.from_quat(pose.quaternion)
+        place = None if pose is None else np.asarray(pose.position)
+        self._flexing = np.where(servo == self._last, self._flexing, servo > self._last)
+        self._last = servo
+        bounds = self._map.bounds
+        within = np.clip(servo, bounds.servo_min, bounds.servo_max)
+        joints = self._map.joints_from_servo(within[None], self._flexing[None])[0]
+        return Shown(joints, servo, wrist, None, place, turn, text)
 
 
 @contextmanager
@@ -45,6 +62,7 @@ def watched(
     """
     now = {"phase": "before or after the episode", "offset": np.zeros(3), "pose": None, "fault": ""}
     over = Event()
+    predicted = Predicted(hand)
 
     def stop() -> None:
         try:
@@ -57,7 +75,7 @@ def watched(
             status = link.last_status
             if status is not None:
                 text = f"{now['fault']}{now['phase']}; {status.state}"
-                page.show(predicted(status.servo, hand, now["pose"], now["offset"], text))
+                page.show(predicted(status.servo, now["pose"], now["offset"], text))
 
     page = HandPage(setup, ABOUT, stop, browser=True, supports=False, driven=True)
     thread = Thread(target=show, daemon=True)
@@ -74,11 +92,12 @@ def show_log(setup: SceneSetup, steps: list[dict[str, Any]]) -> None:
     """Play the steps of a log again and again, in real time, until Ctrl-C."""
     about = f"A log of {len(steps)} steps. {ABOUT}"
     page = HandPage(setup, about, browser=True, supports=False, driven=True)
+    predicted = Predicted()
     with closing(page), suppress(KeyboardInterrupt):
         while True:
             for row in steps:
                 pose = Pose(np.array(row["position"]), tuple(row["quaternion"]))
                 text = f"{row['t']:.2f} s, {row['phase']}"
                 page.wait()
-                page.show(predicted(np.array(row["hand"]), HPAC, pose, np.zeros(3), text))
+                page.show(predicted(np.array(row["hand"]), pose, np.zeros(3), text))
             time.sleep(1.0)

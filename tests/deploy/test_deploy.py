@@ -36,6 +36,8 @@ from hpac_gym.deploy.replay import figure_of, simulation
 from hpac_gym.deploy.watching import watched
 from hpac_gym.figures import save
 from hpac_gym.model import HPAC, servo_from_synergy
+from hpac_gym.model.calibration import Calibration
+from hpac_gym.model.settled import FLEXION, settled_joints_from_servo
 from hpac_gym.output import OutputError
 from hpac_gym.policies.loading import load_policy
 from hpac_gym.registration import GRASP, GRASP_ANY, GRASP_TYPE
@@ -406,6 +408,19 @@ def test_the_page_of_a_deployment_tells_of_a_stop_that_nobody_confirmed(link, mo
         stop()
         told = "Stop NOT CONFIRMED: switch the supply off. no answer to estop. before"
         wait_for(lambda: shown()[-1].startswith(told))
+
+
+def test_the_page_of_a_deployment_shows_a_calibrated_hand_by_its_file(link, monkeypatch):
+    page = create_autospec(HandPage)
+    monkeypatch.setattr("hpac_gym.deploy.watching.HandPage", page)
+    link.status()
+    hand = replace(HPAC, calibration=Calibration(servo_zero=(0.3,) * 6))
+    with watched(link, Observer(GRASP, CAN).setup, hand):
+        wait_for(lambda: page.return_value.show.called)
+    shown = page.return_value.show.call_args.args[0]
+    expected = settled_joints_from_servo(shown.servo, hand, FLEXION)
+    assert np.abs(expected).max() > 0.1
+    np.testing.assert_allclose(shown.joint_pos, expected, atol=5e-3)
 
 
 def test_a_log_is_kept_from_the_next_deployment_that_names_it(log, tmp_path, capsys):
