@@ -179,6 +179,7 @@ def _head(options: argparse.Namespace, observer: Observer, given: dict[str, Any]
         "options": given,
         "object": options.object,
         "hand": observer.model.name,
+        "model": options.model,
         "port": options.port,
         "servos": SERVOS,
         "terms": [[term.name, *term.labels] for term in observer.task.terms],

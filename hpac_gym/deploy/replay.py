@@ -17,7 +17,7 @@ from hpac_gym.deploy.observer import Observer
 from hpac_gym.errors import HpacError
 from hpac_gym.evaluation.environment import make_env
 from hpac_gym.figures import new_figure, require, save
-from hpac_gym.model import SERVOS
+from hpac_gym.model import SERVOS, load_hand
 from hpac_gym.model.checks import Array, as_finite_vector, as_unit_vector
 from hpac_gym.output import read_text
 
@@ -46,7 +46,9 @@ def run(options: argparse.Namespace) -> int:
         require(options.out)
     head, steps, end = read_log(options.log)
     needed = head.get("options", {})
-    observer = Observer(head["env_id"], object_of(head["object"]), grasp=head["grasp"], **needed)
+    hand = load_hand(head.get("model"))
+    thing = object_of(head["object"])
+    observer = Observer(head["env_id"], thing, hand, head["grasp"], **needed)
     commanded, simulated, outcome = simulation(observer, needed, steps, options.engine)
     time, sent, seen = (
         np.array([row[name] for row in steps]) for name in ("t", "sent", "position")
@@ -82,7 +84,7 @@ the simulation: {outcome}{early}"""
     if options.view:
         from hpac_gym.deploy.watching import show_log
 
-        show_log(observer.setup, steps)
+        show_log(observer.setup, steps, hand)
     return 0
 
 
@@ -125,8 +127,9 @@ def read_log(path: Path) -> tuple[dict[str, Any], list[dict[str, Any]], str]:
 def _require_values(row: dict[str, Any]) -> None:
     """Refuse a first line or a step with values of other kinds."""
     if "hpac_deploy" in row:
-        if not isinstance(row["env_id"], str):
-            raise DeployError(f"env_id {row['env_id']!r} is no text")
+        for name in ("env_id", "object", *(("model",) if row.get("model") is not None else ())):
+            if not isinstance(row[name], str):
+                raise DeployError(f"{name} {row[name]!r} is no text")
         if not isinstance(options := row.get("options", {}), dict):
             raise DeployError(f"options {options!r} are not those of an environment")
     elif "step" in row:
@@ -157,7 +160,7 @@ def simulation(
     )
     commanded = np.full((len(steps), len(SERVOS)), np.nan)
     positions = np.full((len(steps), 3), np.nan)
-    with make_env(observer.spec.id, engine=engine, **options) as env:
+    with make_env(observer.spec.id, engine=engine, model=observer.model, **options) as env:
         env.reset(seed=0, options={"setup": setup})
         bare = env.unwrapped
         for i, row in enumerate(steps):

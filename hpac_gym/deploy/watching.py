@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from hpac_gym.bridge import BridgeError, HandLink
 from hpac_gym.bridge.stop import UNCONFIRMED
 from hpac_gym.deploy.observer import Pose
-from hpac_gym.model import HPAC, SERVOS, Hand
+from hpac_gym.model import SERVOS, Hand
 from hpac_gym.model.checks import Array
 from hpac_gym.model.maps import CommandMap
 from hpac_gym.physics.engine import SceneSetup
@@ -29,7 +29,7 @@ class Predicted:
         hand: its model, of which zeros, slack and friction are taken into account.
     """
 
-    def __init__(self, hand: Hand = HPAC) -> None:
+    def __init__(self, hand: Hand) -> None:
         self._map = CommandMap(hand)
         self._flexing = np.ones(len(SERVOS), dtype=bool)
         self._last = np.full(len(SERVOS), -np.inf)
@@ -88,11 +88,11 @@ def watched(
         page.close()
 
 
-def show_log(setup: SceneSetup, steps: list[dict[str, Any]]) -> None:
-    """Play the steps of a log again and again, in real time, until Ctrl-C."""
+def show_log(setup: SceneSetup, steps: list[dict[str, Any]], hand: Hand) -> None:
+    """Play the steps of a hand's log again and again, in real time, until Ctrl-C."""
     about = f"A log of {len(steps)} steps. {ABOUT}"
     page = HandPage(setup, about, browser=True, supports=False, driven=True)
-    predicted = Predicted()
+    predicted = Predicted(hand)
     with closing(page), suppress(KeyboardInterrupt):
         while True:
             for row in steps:

@@ -37,6 +37,7 @@ from hpac_gym.deploy.watching import watched
 from hpac_gym.figures import save
 from hpac_gym.model import HPAC, servo_from_synergy
 from hpac_gym.model.calibration import Calibration
+from hpac_gym.model.files import hand_to_toml
 from hpac_gym.model.settled import FLEXION, settled_joints_from_servo
 from hpac_gym.output import OutputError
 from hpac_gym.policies.loading import load_policy
@@ -711,6 +712,16 @@ def test_what_a_policy_needed_of_its_environment_is_played_too(path, capsys, mon
     assert said.out.startswith("grasp-any-wrist on virtual, 144 steps, ended: done")
 
 
+def test_a_calibrated_hand_is_played_with_its_file(path, capsys, tmp_path):
+    file = tmp_path / "hand.toml"
+    text = hand_to_toml(replace(HPAC, calibration=Calibration(servo_zero=(0.3,) * 6)))
+    file.write_text(text)
+    assert told(capsys, *WORDS, *VIRTUAL, "--log", path, "--model", file)[0] == 0
+    status, said = told(capsys, path, command="replay")
+    assert (status, said.err) == (0, "")
+    assert float(said.out.splitlines()[1].split()[3]) < 0.05
+
+
 def test_nothing_is_compared_after_the_end_of_the_simulation(path, capsys):
     with pytest.warns(UserWarning, match="PickPlace-v0 draws it at"):
         assert told(capsys, "pick-place", *WORDS[1:], *VIRTUAL, "--log", path)[0] == 0
@@ -772,6 +783,8 @@ def test_a_log_that_was_cut_short_is_read(log, capsys):
             "line 3: without action, hand, position, sent",
         ),
         (HEAD.replace('""', "null", 1), "line 1: env_id None is no text"),
+        (HEAD.replace('"object": ""', '"object": 5'), "line 1: object 5 is no text"),
+        (f'{HEAD[:-1]}, "model": 5}}', "line 1: model 5 is no text"),
         (f'{HEAD[:-1]}, "options": [1]}}', "line 1: options [1] are not those of an environment"),
         (f"{HEAD}\n{step(position=None)}", "line 2: position must have shape (..., 3), not ()"),
         (f"{HEAD}\n{step(action='abc')}", "line 2: action must be an array of numbers"),
@@ -780,7 +793,7 @@ def test_a_log_that_was_cut_short_is_read(log, capsys):
             "line 2: quaternion = [0.0, 0.0, 0.0, 0.0] of norm 0",
         ),
     ],
-    ids=range(12),
+    ids=range(14),
 )
 def test_what_is_no_log_is_one_line(path, capsys, text, says):
     path.write_text(text)
