@@ -213,12 +213,13 @@ class KnownState:
         reason = name_of(Reason, ack.number("reason"))
         index = ack.number("servo")
         servo = SERVOS[index] if index < len(SERVOS) else None
-        if self.in_fault and reason != Reason.session.name:
-            pressed = ": the e-stop input is pressed" if reason == Reason.estop.name else ""
-            return self.fault_error(f"{message.name} refused{pressed}", reason, servo)
-        where = (f" at servo {servo}" if servo else "") + self._bound(reason, message, index)
         if reason == Reason.session.name:
             where = ": another program has greeted the hand since, or the board has restarted; this link is over"
+        elif self.in_fault:
+            pressed = ": the e-stop input is pressed" if reason == Reason.estop.name else ""
+            return self.fault_error(f"{message.name} refused{pressed}", reason, servo)
+        else:
+            where = (f" at servo {servo}" if servo else "") + self._bound(reason, message, index)
         return RejectedError(
             f"the hand refused {message.name}: {reason}{where} (state {self.state})",
             reason,

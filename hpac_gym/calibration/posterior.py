@@ -12,7 +12,6 @@ from hpac_gym.calibration.combinations import digit_with, hand_with
 from hpac_gym.calibration.identification import Identification
 from hpac_gym.errors import HpacError
 from hpac_gym.model import Hand
-from hpac_gym.output import write_text
 
 DRAWS = 50
 """Number of drawn hands (chosen)."""
@@ -60,15 +59,6 @@ def draws_text(hand: Hand, identified: Identification) -> str:
     """The contents of `draws.json`."""
     text = {"zero": hand.calibration.servo_zero, "draws": draws_of(identified)}
     return json.dumps(text) + "\n"
-
-
-def write_draws(hand_file: Path, hand: Hand, identified: Identification) -> None:
-    """Write the draws beside a hand file.
-
-    Raises:
-        OutputError: As of `write_text`.
-    """
-    write_text(report_folder(hand_file) / "draws.json", draws_text(hand, identified))
 
 
 def read_draws(hand_file: Path, hand: Hand) -> list[Hand]:

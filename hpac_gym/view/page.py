@@ -248,11 +248,11 @@ class HandPage:
                 self._hand.pull(shown.tension)
             if self._object is not None:
                 self._object.visible = shown.object_pos is not None
-            if self._object is not None and shown.object_pos is not None:
-                place = HAND_POSITION + shown.wrist + self._hand_turn.apply(shown.object_pos)
-                self._object.position = tuple(place)
-                turn = self._hand_turn * (shown.object_rotation or Rotation.identity())
-                self._object.wxyz = turn.as_quat(scalar_first=True)
+                if shown.object_pos is not None:
+                    place = HAND_POSITION + shown.wrist + self._hand_turn.apply(shown.object_pos)
+                    self._object.position = tuple(place)
+                    turn = self._hand_turn * (shown.object_rotation or Rotation.identity())
+                    self._object.wxyz = turn.as_quat(scalar_first=True)
             if self.sliders[0].disabled:
                 for slider, value in zip(self.sliders, shown.servo, strict=True):
                     slider.value = round(float(np.clip(value, slider.min, slider.max)), 2)

@@ -330,11 +330,8 @@ def test_a_record_that_supports_no_fit_is_told(record):
         IdentificationError, match=r"index: servo index_mcp sweeps 27% of its range, less than 30%"
     ):
         identify(record[~flexion | (record.point < 9)])
-    unseen = record.with_joint_pos(
-        np.where(
-            (record.point < 9)[:, None], record.joint_pos, np.nan
-        )  # points without a measurement
-    )
+    seen = (record.point < 9)[:, None]
+    unseen = record.with_joint_pos(np.where(seen, record.joint_pos, np.nan))
     with pytest.raises(IdentificationError, match=r"index_mcp sweeps 27% of its range"):
         identify(unseen)
     with pytest.raises(

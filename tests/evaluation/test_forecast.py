@@ -12,11 +12,18 @@ from experiments.quasistatic import Built
 from hpac import main
 from hpac_gym.calibration.calibrate import named
 from hpac_gym.calibration.identification import identify
-from hpac_gym.calibration.posterior import drawn_hands, draws_of, read_draws, write_draws
+from hpac_gym.calibration.posterior import (
+    drawn_hands,
+    draws_of,
+    draws_text,
+    read_draws,
+    report_folder,
+)
 from hpac_gym.evaluation.forecast import OF
 from hpac_gym.evaluation.statistics import predicted_rate
 from hpac_gym.model import HPAC, JOINT_INDEX, hand_to_toml, load_hand
 from hpac_gym.model.settled import settled_joints_from_servo
+from hpac_gym.output import write_text
 from tests.options import refused
 
 
@@ -37,7 +44,7 @@ def file(tmp_path, found):
     """What `hpac calibrate` writes."""
     path = tmp_path / "hand.toml"
     path.write_text(hand_to_toml(named(found, HPAC, "sweep.csv")))
-    write_draws(path, load_hand(path), found)
+    write_text(report_folder(path) / "draws.json", draws_text(load_hand(path), found))
     return path
 
 
