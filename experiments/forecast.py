@@ -20,7 +20,7 @@ from experiments.chain import slack_hand, swept
 from experiments.results import add_out, read_results, write_results
 from hpac_gym.calibration.calibrate import named
 from hpac_gym.calibration.identification import identify
-from hpac_gym.calibration.posterior import read_draws, write_draws
+from hpac_gym.calibration.posterior import draws_text, read_draws, report_folder
 from hpac_gym.command import command_parser, run, whole_number
 from hpac_gym.evaluation.evaluate import run_block
 from hpac_gym.evaluation.forecast import Forecast, forecast
@@ -65,7 +65,8 @@ def calibrated(seed: int) -> Path:
     path = FILES / f"{seed}.toml"
     if not path.exists():
         identified = identify(swept(slack_hand(seed), seed), hold_out=True, draws=50)
-        write_draws(path, identified.hand, identified)
+        draws = draws_text(identified.hand, identified)
+        write_text(report_folder(path) / "draws.json", draws)
         write_text(path, hand_to_toml(named(identified, HPAC, f"the sweep of hand {seed}")))
     return path
 
