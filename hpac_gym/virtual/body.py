@@ -104,6 +104,7 @@ class Body:
         self._powered = True
         self._driven_us = 0.0
         self.place(setup)
+        self._turned: float = env.episodes.simulation.servos.horn[0, -1]
 
     def place(self, setup: SceneSetup | None, servo: Array | None = None) -> None:
         """Put the object at its place and the wrist at its start, the hand as its servos have it by
@@ -200,13 +201,17 @@ class Body:
         closed = state.horn[0, : len(DIGITS)].max() >= OPEN
         if not (over or lost) or (closed and self._at_us - self._driven_us < OPENED_AFTER_US):
             return
-        self.put_back(opened=closed)
+        self.put_back(opened=closed, turned=not self._powered)
 
-    def put_back(self, opened: bool = False) -> None:
-        """Put the object and the wrist back, the hand as its servos have it, or opened by somebody."""
+    def put_back(self, opened: bool = False, turned: bool = False) -> None:
+        """Put the object and the wrist back, the hand as its servos have it, or opened by somebody,
+        who may turn the thumb to where it was at first, too: elsewhere it may lie in the object.
+        """
         servo = self._env.episodes.simulation.servos.horn[0].copy()
         if opened:
             servo[: len(DIGITS)] = 0.0
+        if turned:
+            servo[-1] = self._turned
         self.place(self.setup, servo)
 
     def seen(self, state: SceneState) -> Pose:

@@ -17,6 +17,7 @@ import numpy as np
 from hpac_gym.bridge import HostBoard, pulses_from_servo
 from hpac_gym.command import add_json, say, seconds, whole_number
 from hpac_gym.errors import ParameterError
+from hpac_gym.model import servo_from_synergy
 from hpac_gym.physics.engine import SceneSetup
 from hpac_gym.virtual.body import Body
 from hpac_gym.virtual.hand import POSE_HZ, Tracker, Virtual
@@ -105,6 +106,7 @@ def run(options: argparse.Namespace) -> int:
 
             page = HandPage(setup, ABOUT, hand.estop, browser=not options.no_browser)
             hand.page = stack.enter_context(closing(page))
+            page.sliders[-1].value = float(servo_from_synergy(setup.synergy, setup.hand)[-1])
         try:
             ports = {"pose_port": hand.pose_port, "arm_port": hand.arm_port}
             say(options.json, _greeting(options, hand, setup), port=hand.port, **ports)

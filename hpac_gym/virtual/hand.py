@@ -184,7 +184,8 @@ class Virtual:
                 if told["phase"] != "ready":
                     self.body.tell(told)
                 elif self._phase != "ready":
-                    if self.body.outcome != RUNNING:  # the hand may have kept its power since
+                    # Its thumb has swept the scene when it was armed, or it has kept its power since.
+                    if not self._phase or self.body.outcome != RUNNING:
                         self.body.put_back()
                     self.body.begin(now_us)
                     self._seen_until = 1e-6 * now_us + self._blind

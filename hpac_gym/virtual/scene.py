@@ -58,8 +58,8 @@ def scene_env(options: argparse.Namespace) -> Any:
 
 
 def scene(env: Any, env_id: str, seed: int | None) -> SceneSetup:
-    """The scene of a seed, with the hand open; a seed hides a hand from the set ``train`` in it, whose
-    friction is drawn as by the randomization ``hand``.
+    """The scene of a seed, with the hand open and the thumb turned as the task has it; a seed hides a
+    hand from the set ``train`` in it, whose friction is drawn as by the randomization ``hand``.
     """
     env.reset(seed=seed or 0)
     setup = env.episodes.setups[0]
@@ -81,8 +81,10 @@ def scene(env: Any, env_id: str, seed: int | None) -> SceneSetup:
     elif env_id == GRASP and setup.object.model is None:
         x, y, z = IN_REACH
         setup = replace(setup, position=np.array([x + setup.object.half_extents[0], y, z]))
-    rest = np.clip(0.0, setup.hand.servo_min, setup.hand.servo_max)
-    return replace(setup, synergy=synergy_from_servo(rest, setup.hand))
+    hand = setup.hand
+    synergy = synergy_from_servo(np.clip(0.0, hand.servo_min, hand.servo_max), hand)
+    synergy[-1] = np.clip(setup.synergy[-1], hand.synergy_min[-1], hand.synergy_max[-1])
+    return replace(setup, synergy=synergy)
 
 
 def revealed(seed: int | None, setup: SceneSetup) -> str:
