@@ -135,12 +135,17 @@ class Prior:
 @dataclass(frozen=True, slots=True)
 class _Problem:
     """Least squares of one digit: unknowns are the combinations, then offset and slope of every
-    joint's drift.
+    joint's drift in every segment.
     """
 
     samples: DigitSamples
     base: Digit
     prior: Prior
+
+    @property
+    def drifts(self) -> int:
+        """Number of the unknowns of the drift."""
+        return int(self.samples.line.shape[1] * self.samples.joint_pos.shape[1])
 
     @property
     def seen(self) -> np.ndarray:
@@ -150,7 +155,11 @@ class _Problem:
         """Measured minus predicted angles of the measured points [rad]."""
         numbers, drift = np.split(unknowns, [len(self.prior.centre)])
         angles = predicted(self.samples, digit_with(self.base, self.prior.values(numbers)))
-        missed = self.samples.joint_pos - angles - self.samples.line @ drift.reshape(2, -1)
+        missed = (
+            self.samples.joint_pos
+            - angles
+            - self.samples.line @ drift.reshape(self.samples.line.shape[1], -1)
+        )
         return np.asarray(missed[self.seen])
 
     def rows(self, unknowns: Array, scale: float) -> Array:
@@ -166,14 +175,14 @@ class _Problem:
 
     @property
     def bounds(self) -> tuple[Array, Array]:
-        free = np.full(2 * self.samples.joint_pos.shape[1], np.inf)
+        free = np.full(self.drifts, np.inf)
         return np.append(self.prior.lower, -free), np.append(self.prior.upper, free)
 
     @property
     def unit(self) -> Array:
         """A typical size of every unknown."""
         noise = float(np.nanmax(self.samples.noise))
-        return np.append(self.prior.sigma, np.full(2 * self.samples.joint_pos.shape[1], noise))
+        return np.append(self.prior.sigma, np.full(self.drifts, noise))
 
     def solve(self, start: Array, scale: float) -> optimize.OptimizeResult:
         return optimize.least_squares(
@@ -261,7 +270,7 @@ def fit_digit(
     fitted = samples.only(~held_out_rows(samples)) if hold_out else samples
     problem = _Problem(fitted, base, prior)
     count = len(prior.centre)
-    start = np.concatenate([prior.centre, np.zeros(2 * fitted.joint_pos.shape[1])])
+    start = np.concatenate([prior.centre, np.zeros(problem.drifts)])
     first = problem.solve(start, 1.0).x
     scale = max(robust_deviation(problem.misfit(first) / fitted.deviation[problem.seen]), 1.0)
     result = problem.solve(first, scale)
@@ -324,8 +333,8 @@ def fit_cmc(
 
     result = optimize.least_squares(
         misfit,
-        [base, 0.0, 0.0, 0.0],
-        x_scale=[1.0, ZERO_SPREAD, samples.noise[0], samples.noise[0]],
+        [base, 0.0, *np.zeros(line.shape[1])],
+        x_scale=[1.0, ZERO_SPREAD, *np.full(line.shape[1], samples.noise[0])],
         loss=lambda squares: soft_beyond_outliers(squares, len(servo)),
     )
     _check_fit("thumb_cmc", deviation * misfit(result.x)[: len(servo)])

@@ -58,7 +58,7 @@ class DigitSamples:
     deviation: Array
     """Standard deviation of that mean from the scatter of the samples, shape (k, joints) [rad]."""
     line: Array
-    """Uncertainty of the drift's offset and slope for unit noise of a sample, shape (k, 2)."""
+    """Uncertainty of the drift's offset and slope for unit noise of a sample, shape (k, 2 segments)."""
     noise: Array
     """Standard deviation of one sample, shape (joints,) [rad]."""
     samples: int
@@ -93,15 +93,16 @@ def digit_samples(record: Sweep, servo: int, base: Hand = HPAC) -> DigitSamples 
     """
     joints = joints_of_servo(servo)[::-1]
     parts = []
-    for rows in record.segments():
-        if record.swept[rows[0]] != servo:
-            continue
+    segments = [rows for rows in record.segments() if record.swept[rows[0]] == servo]
+    for place, rows in enumerate(segments):
         differing = differing_rests(record[rows])
         segment = without_drift(record[rows])
         for phase, direction in ((FLEXING, FLEXION), (EXTENDING, EXTENSION)):
             held = np.flatnonzero((segment.phase == phase) & (segment.point >= 0))
             if held.size:
-                parts.append(_phase_points(segment, held, joints, direction, bool(differing)))
+                part = _phase_points(segment, held, joints, direction, bool(differing))
+                others = 2 * place, 2 * (len(segments) - 1 - place)
+                parts.append(replace(part, line=np.pad(part.line, ((0, 0), others))))
     if not parts:
         return None
     of_points: dict[str, Any] = {

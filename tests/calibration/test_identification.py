@@ -442,6 +442,22 @@ def test_several_trials_tell_more_than_one(hidden):
     assert hubs[1].high - hubs[1].low < hubs[0].high - hubs[0].low
 
 
+def test_every_trial_has_a_drift_of_its_own(hidden):
+    """Cameras that turned to opposite sides, and a digit that did not come back."""
+    trials = []
+    for trial, turned in enumerate(np.deg2rad([0.6, -0.6])):
+        (one,) = metal_sweeps([hidden], trial + 1, JointCamera(), servos=("index_mcp",))
+        drift = turned * (one.time - one.time[0]) / np.ptp(one.time)
+        drift += np.deg2rad(1.5) * ((one.phase == REST) & (one.time > one.time.mean()))
+        moved = one.with_joint_pos(one.joint_pos + drift[:, None])
+        trials.append(replace(moved, trial=0 * one.trial + trial))
+    alone, both = (
+        identify(sweep).fits["index"].misfit for sweep in (trials[0], concatenate(trials))
+    )
+    assert alone < 2
+    assert both < 2
+
+
 def test_a_shift_of_all_angles_of_a_taut_tendon_is_in_no_fit():
     """Why the sweep warns of it: the record of a thumb that has already flexed at rest fits as well,
     about a zero that is the shift's.
