@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from hpac_gym.bridge.errors import ClippedWarning, FrameError
 from hpac_gym.bridge.protocol import ANGLE_UNIT, CONSTANTS, PULSE, VERSION
+from hpac_gym.errors import ParameterError
 from hpac_gym.model import HPAC, SERVOS, Hand
 from hpac_gym.model.checks import Array, as_finite_array
 
@@ -47,11 +48,24 @@ def servo_limits(hand: Hand = HPAC) -> tuple[ServoLimits, ...]:
 
     Angles are rounded to the wire's step, so that a command for exactly the limit is accepted. Rest
     is 0 rad, or the limit closest to it; the centre pulse corresponds to the middle of the range.
+
+    Raises:
+        ParameterError: A range beyond the pulses of a servo, or a rate that rounds to 0.
     """
     step = round(ANGLE_UNIT * 1e6)
     lower = np.rint(hand.servo_min / ANGLE_UNIT).astype(int) * step
     upper = np.rint(hand.servo_max / ANGLE_UNIT).astype(int) * step
     rate = np.rint(np.broadcast_to(hand.servo_rate_limit, len(SERVOS)) * 1e6).astype(int)
+    if rate.min() < 1:
+        raise ParameterError(
+            f"a rate limit of {hand.rate_limit:.3g} rad/s; a board knows none below 1e-06 rad/s"
+        )
+    reach = (PULSE["max_ns"] - PULSE["min_ns"]) / PULSE["ns_per_rad"]
+    span = 1e-6 * (upper - lower)
+    if span.max() > reach:
+        raise ParameterError(
+            f"servo {SERVOS[span.argmax()]}: a range of {span.max():.4g} rad; the pulses of a servo reach {reach:.4g} rad"
+        )
     return tuple(
         ServoLimits(
             name=name,

@@ -5,10 +5,12 @@ model's.
 import dataclasses
 
 import numpy as np
+import pytest
 
 from hpac_gym.bridge import protocol
 from hpac_gym.bridge.hands import Config, config_of, load_library
 from hpac_gym.bridge.limits import limits_hash, servo_limits
+from hpac_gym.errors import ParameterError
 from hpac_gym.model import HPAC, SERVOS, hand_to_toml
 from tools import generate
 
@@ -30,6 +32,21 @@ def test_servo_limits_are_the_models_to_half_a_step_of_the_wire():
     np.testing.assert_allclose([s.min_urad * 1e-6 for s in limits], HPAC.servo_min, atol=half_step)
     np.testing.assert_allclose([s.max_urad * 1e-6 for s in limits], HPAC.servo_max, atol=half_step)
     np.testing.assert_allclose([s.rate_urad_s * 1e-6 for s in limits], HPAC.servo_rate_limit)
+
+
+@pytest.mark.parametrize(
+    ("changed", "named"),
+    [
+        ({"rate_limit": 1e-7}, "1e-07 rad/s; a board knows none below 1e-06 rad/s"),
+        (
+            {"workspace": HPAC.workspace | {"thumb_cmc": (-1.0, 2.3)}},
+            "servo thumb_cmc: a range of 3.3 rad; the pulses of a servo reach 3.142 rad",
+        ),
+    ],
+)
+def test_a_hand_that_no_board_can_drive_has_no_servo_table(changed, named):
+    with pytest.raises(ParameterError, match=named):
+        servo_limits(dataclasses.replace(HPAC, **changed))
 
 
 def test_firmware_was_compiled_with_this_servo_table():
