@@ -6,7 +6,6 @@
 #include "hpac_state.h"
 
 #define US_PER_MS 1000u
-#define ALL_ATTACHED ((1u << HPAC_SERVOS) - 1u)
 
 /* Each handler returns why it refuses, or HPAC_REASON_OK once it has carried the frame out. */
 
@@ -67,7 +66,7 @@ static hpac_reason_t on_move(hpac_hand_t *hand, const uint8_t *frame, uint8_t *s
     if (hand->state != HPAC_STATE_ARMED) {
         return HPAC_REASON_STATE;
     }
-    if (hand->starting || hand->attached != ALL_ATTACHED) {
+    if (hand->starting || hand->attached != HPAC_ALL_SERVOS) {
         return HPAC_REASON_STARTING;
     }
     if (hand->repeatable && seq == hand->last_seq && crc == hand->last_move_crc) {

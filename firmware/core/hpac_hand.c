@@ -18,7 +18,7 @@ static void recall(hpac_hand_t *hand, const hpac_memory_t *memory)
     for (int i = 0; i < HPAC_SERVOS; i++) { /* more heat than any effort brings is not a memory but noise */
         hand->heat[i] = memory->heat[i] < 2u * HPAC_HEAT_LIMIT ? memory->heat[i] : 2u * HPAC_HEAT_LIMIT;
     }
-    hand->placed = (1u << HPAC_SERVOS) - 1u;
+    hand->placed = (uint8_t)(memory->placed & HPAC_ALL_SERVOS);
     hpac_motion_stand(hand, memory->pose);
 }
 
@@ -51,6 +51,7 @@ void hpac_hand_remember(const hpac_hand_t *hand, hpac_memory_t *memory)
         memory->heat[i] = hand->heat[i];
         memory->pose[i] = hand->pose[i];
     }
+    memory->placed = hand->placed;
 }
 
 void hpac_hand_inputs(hpac_hand_t *hand, bool estop_pressed, uint16_t supply_mv)

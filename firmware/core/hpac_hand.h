@@ -78,10 +78,13 @@ typedef struct {
     uint16_t tx_length;
 } hpac_hand_t;
 
+#define HPAC_ALL_SERVOS ((1u << HPAC_SERVOS) - 1u)
+
 /* What may outlive a reset in memory that the reset does not clear. */
 typedef struct {
     uint32_t heat[HPAC_SERVOS];
     int32_t pose[HPAC_SERVOS];
+    uint32_t placed; /* as in hpac_hand_t */
 } hpac_memory_t;
 
 /* The servo table that was generated from the hand's parameters, without trims. */

@@ -18,7 +18,7 @@ void bench_config(hpac_config_t *config)
 
 void bench_start(bench_t *bench)
 {
-    static const hpac_memory_t at_rest;
+    static const hpac_memory_t at_rest = { .placed = HPAC_ALL_SERVOS };
     memset(bench, 0, sizeof *bench);
     bench_config(&bench->config);
     hpac_hand_init(&bench->hand, &bench->config, HPAC_RESET_POWER_ON, 1, &at_rest);

@@ -184,7 +184,7 @@ static void run(const options_t *options)
     static const char boot_text[] = "ets Jul 29 2019 12:21:46\r\n\r\nrst:0x1 (POWERON_RESET),boot:0x13\r\n";
     static loop_t loop;
     loop_memory_t kept;
-    hpac_memory_t at_rest = { .heat = { 0 } };
+    hpac_memory_t at_rest = { .placed = HPAC_ALL_SERVOS };
     for (int i = 0; i < HPAC_SERVOS; i++) {
         at_rest.pose[i] = options->config.servo[i].rest_urad;
         at_rest.heat[i] = (options->heat_percent < 100u ? options->heat_percent : 100u) * (HPAC_HEAT_LIMIT / 100u);

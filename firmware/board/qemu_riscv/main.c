@@ -6,7 +6,7 @@
 #define TICK_US 1000u
 
 static hpac_hand_t hand;
-static hpac_memory_t at_rest; /* its servos are: it arms as after a reset, not as after power-on */
+static const hpac_memory_t at_rest = { .placed = HPAC_ALL_SERVOS }; /* it arms as after a reset, not as after power-on */
 
 int main(void)
 {

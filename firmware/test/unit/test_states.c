@@ -125,7 +125,7 @@ static void a_closed_hand_that_was_stopped_does_not_close_again(void)
 static void arming_brings_each_servo_to_rest(void)
 {
     for (int i = 0; i < HPAC_SERVOS; i++) {
-        hpac_memory_t memory = { .pose = { 0 } };
+        hpac_memory_t memory = { .placed = HPAC_ALL_SERVOS };
         bench_t bench;
         memory.pose[i] = 500000;
         bench_start(&bench);
@@ -404,12 +404,14 @@ static void memory_is_taken_up_within_bounds(void)
         bench_t other = bench;
         other.hand.heat[i] = 2u * HPAC_HEAT_LIMIT;
         other.hand.pose[i] = 7;
+        other.hand.placed = (uint8_t)(1u << i);
         hpac_hand_remember(&other.hand, &own);
         for (unsigned k = 0; k < HPAC_SERVOS; k++) {
             CHECK((own.heat[k] == 2u * HPAC_HEAT_LIMIT) == (k == i) && (own.pose[k] == 7) == (k == i));
         }
         own.heat[i]++;
-        hpac_hand_init(&other.hand, &bench.config, HPAC_RESET_SOFTWARE, 2, &own);
+        hpac_hand_init(&other.hand, &bench.config, HPAC_RESET_BROWNOUT, 2, &own);
+        CHECK(other.hand.placed == 1u << i); /* the others had no pulse yet when the supply broke down */
         for (unsigned k = 0; k < HPAC_SERVOS; k++) {
             CHECK(other.hand.heat[k] == (k == i ? 2u * HPAC_HEAT_LIMIT : own.heat[k]));
         }
@@ -422,8 +424,9 @@ static void memory_is_taken_up_within_bounds(void)
         memory.heat[i] = i < 3 ? UINT32_MAX : 2u * HPAC_HEAT_LIMIT + HPAC_HEAT_LIMIT / 2u;
         memory.pose[i] = i % 2 == 0 ? INT32_MAX : INT32_MIN;
     }
+    memory.placed = ~0u;
     hpac_hand_init(&bench.hand, &bench.config, HPAC_RESET_SOFTWARE, 3, &memory);
-    CHECK(bench.hand.placed == (1u << HPAC_SERVOS) - 1u); /* no servo is just anywhere */
+    CHECK(bench.hand.placed == HPAC_ALL_SERVOS);
     bench.now_us = 0;
     bench_run(&bench, 1);
     CHECK(bench.hand.state == HPAC_STATE_BOOT && bench_silent(&bench));
