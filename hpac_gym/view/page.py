@@ -22,6 +22,7 @@ from hpac_gym.model import (
     SERVOS,
     elastic_joints_from_servo,
     rigid_joints_from_servo,
+    servo_from_synergy,
 )
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import HAND_POSITION, SceneSetup, SceneState
@@ -88,7 +89,7 @@ class HandPage:
     """A page on this computer alone, whose address is printed.
 
     Args:
-        setup: the scene; its object may be None.
+        setup: the scene; its object may be None. The slider of the thumb's CMC begins at its angle.
         about: what is seen, in a sentence.
         stop: called by the button that sends ESTOP; None is a page without one.
         browser: open a browser.
@@ -125,6 +126,7 @@ class HandPage:
         scene.add_light_ambient("/lamps/all", intensity=1.0)
         scene.add_light_directional("/lamps/sun", intensity=1.2, position=(0.6, 1.0, 1.2))
         self._draw_controls(about, stop)
+        self.sliders[-1].value = float(servo_from_synergy(setup.synergy, setup.hand)[-1])
         self._scene = scene.add_frame("/scene", show_axes=False)
         self.place(setup)
         print(f"hpac_gym: the page is at {self.address}", file=sys.stderr, flush=True)

@@ -17,7 +17,6 @@ import numpy as np
 from hpac_gym.bridge import HostBoard, pulses_from_servo
 from hpac_gym.command import add_json, say, seconds, whole_number
 from hpac_gym.errors import ParameterError
-from hpac_gym.model import servo_from_synergy
 from hpac_gym.physics.engine import SceneSetup
 from hpac_gym.virtual.body import Body
 from hpac_gym.virtual.hand import POSE_HZ, Tracker, Virtual
@@ -29,8 +28,6 @@ ABOUT_PLAY = (
     "A simulated hand. Each slider is a servo; the other joints follow by their tendons. "
     "Close it on the object, and lift."
 )
-OPPOSED = 1.2
-"""Angle of the thumb's CMC at the start of `hpac play`, at which it opposes the fingers [rad]."""
 OUT_OF_REACH = np.array([0.35, 0.0, 0.12])
 """Place of the object while the hand is swept, in the hand's frame [m]."""
 
@@ -106,7 +103,6 @@ def run(options: argparse.Namespace) -> int:
 
             page = HandPage(setup, ABOUT, hand.estop, browser=not options.no_browser)
             hand.page = stack.enter_context(closing(page))
-            page.sliders[-1].value = float(servo_from_synergy(setup.synergy, setup.hand)[-1])
         try:
             ports = {"pose_port": hand.pose_port, "arm_port": hand.arm_port}
             say(options.json, _greeting(options, hand, setup), port=hand.port, **ports)
@@ -160,7 +156,6 @@ def play(options: argparse.Namespace) -> int:
             say(True, "", page=page.address)
         stack.enter_context(suppress(KeyboardInterrupt))
         page.lift.visible = True
-        page.sliders[-1].value = OPPOSED
         began = time.monotonic()
         while True:
             now = time.monotonic() - began

@@ -11,7 +11,7 @@ from hpac_gym.body.geometry import HPAC_GEOMETRY
 from hpac_gym.body.object_models import load_object_models
 from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.bridge import FaultError, HandLink
-from hpac_gym.model import ServoCommand
+from hpac_gym.model import HPAC, ServoCommand
 from hpac_gym.physics.engine import SceneSetup
 from hpac_gym.view.meshes import hand_meshes, object_meshes, solid
 from hpac_gym.view.page import HandPage, Shown
@@ -47,6 +47,12 @@ def test_every_link_of_the_hand_and_every_object_is_drawn():
         assert all(mesh.volume > 0 for mesh in meshes)
         reach = np.max([np.abs(mesh.vertices).max(axis=0) for mesh in meshes], axis=0)
         np.testing.assert_allclose(reach, model.half_extents, rtol=0.05)
+
+
+def test_the_sliders_begin_with_the_hand_open_and_the_thumb_turned_as_in_the_scene():
+    page = HandPage(SceneSetup(None, synergy=np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.9])), "")
+    np.testing.assert_allclose(page.wanted(), [0, 0, 0, 0, 0, 0.9 / HPAC.cmc_gain])
+    page.close()
 
 
 def test_a_number_typed_beyond_a_slider_is_brought_back_into_its_range():
