@@ -25,11 +25,12 @@ class RunError(HpacError, OSError):
 
 
 def target_of(env_id: str, **options) -> dict[str, Any]:
-    """Fields of a policy file that identify its environment, with the module that registers it: `env_id` and
-    `made_for`.
+    """Fields of a policy file that identify its environment, with the module that registers it: `env_id`,
+    `made_for`, and of the options those without which the policy does not fit, `obs` and `wrist`.
 
     Raises:
         EnvError: As in `make_env`.
     """
     with make_env(full_id(env_id), **options) as env:
-        return {"env_id": full_id(env_id), "made_for": made_for(env)}
+        needed = {name: options[name] for name in ("obs", "wrist") if name in options}
+        return {"env_id": full_id(env_id), "made_for": made_for(env), **needed}

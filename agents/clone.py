@@ -49,7 +49,7 @@ def visit(
         states: list[Any] = [None] * envs.num_envs
         policies = [LearnedPolicy(actor)] * envs.num_envs
         for step in run_episodes(envs, policies, range(first_seed, first_seed + VISITS)):
-            won += step.success
+            won += step.over and step.success
             if step.number == 0:
                 states[step.world] = None
             if not step.over:
@@ -175,7 +175,6 @@ def main(argv: list[str] | None = None) -> int:
         about = {
             **target,
             "algorithm": "behaviour cloning",
-            **({"obs": options["obs"]} if "obs" in options else {}),
             "settings": {"dataset": str(dataset.id), **settings, "hidden": HIDDEN},
             "episodes": len(episodes) + VISITS * rounds,
             "versions": versions(),

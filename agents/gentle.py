@@ -256,7 +256,6 @@ def main(argv: list[str] | None = None) -> int:
         **target_of(GENTLE, obs=args.obs, told=told),
         "algorithm": "DAgger, then PPO" if args.steps else "DAgger",
         "settings": settings | {"told": told, "hidden": [HIDDEN, HIDDEN]},
-        "obs": args.obs,
         "increments": asdict(MOVES),
         "episodes": env.ended,
         "control_steps": env.steps,

@@ -2,8 +2,9 @@
 agents.race ppo --out runs/NAME``.
 
 Every contender runs on a batch and gets the same processor time; without options on MuJoCo, with
-the dense reward and *deploy*. The folder gets ``policy.hpac``, updated every minute, and ``progress.csv``. A run
-cannot be resumed. ``--set`` also takes the algorithm's arguments, such as ``gamma=0.9`` or
+the dense reward and *deploy*. The worlds of PyBullet are processes of their own, whose time is not
+counted. The folder gets ``policy.hpac`` and ``progress.csv``, updated every minute. A run cannot be
+resumed. ``--set`` also takes the algorithm's arguments, such as ``gamma=0.9`` or
 ``policy_kwargs.net_arch=64,64``, ``num_envs`` and ``action_repeat``."""
 
 import sys
@@ -25,6 +26,7 @@ from torch import nn
 
 from agents import POLICY, RecipeError, RunError, target_of
 from agents.progress import CURVE, Progress
+from agents.runs import alone_in
 from hpac_gym.command import command_parser, minutes, run
 from hpac_gym.envs.sb3 import HandVecEnv
 from hpac_gym.errors import install
@@ -251,13 +253,26 @@ def race(
 
     Raises:
         RecipeError: The library of its algorithm is not installed, or it refuses a setting.
-        RunError: The folder already holds a run, or the training diverged.
+        RunError: The folder already holds a run, another training writes to it, or this one diverged.
     """
     algorithm_of(name)
     if any((out / file).exists() for file in (POLICY, CURVE)):
         raise RunError(f"folder '{out}' already holds a run: name another one")
     target = target_of(env_id, **options)
     writable_folder(out)
+    with alone_in(out):
+        _train(name, settings, out, time_limit, env_id, options, target)
+
+
+def _train(
+    name: str,
+    settings: Mapping[str, Any],
+    out: Path,
+    time_limit: float,
+    env_id: str,
+    options: Mapping[str, Any],
+    target: Mapping[str, Any],
+) -> None:
     torch.set_num_threads(1)
     progress = Progress(
         out, sys.maxsize, sys.maxsize, time_limit=time_limit, clock=time.process_time
@@ -272,7 +287,6 @@ def race(
             **target,
             "algorithm": name,
             "action_repeat": settings["action_repeat"],
-            **({"obs": options["obs"]} if "obs" in options else {}),
             "settings": {**settings, "options": dict(options)},
             "episodes": progress.done,
             "decisions": model.num_timesteps,
@@ -281,6 +295,7 @@ def race(
             "versions": versions("stable-baselines3", "sb3-contrib", "sbx-rl", "jax"),
         }
         write_policy(out / POLICY, PolicyFile(actor, about))
+        progress.write_row(metrics())
 
     saved_at = 0.0
 

@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import errno
 import json
+import math
 import os
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,6 +29,8 @@ if TYPE_CHECKING:
 
 RUN = "run.json"
 _PREFIX = "checkpoint-"
+_COUNTED = {"updates": int, "env_steps": int, "seconds": int | float}
+"""Numbers of a checkpoint with which a resumed run goes on."""
 
 
 def other_versions(told: Mapping[str, str]) -> str:
@@ -127,6 +131,10 @@ def load_checkpoint(
             arrays = dict(file) | trials
         if others := other_versions(state["versions"]):
             raise ValueError(f"it was written with {others}")
+        for name, kind in _COUNTED.items():
+            value = state.get(name, 0)  # older checkpoints lack some
+            if not (isinstance(value, kind) and 0 <= value < math.inf):
+                raise ValueError(f"{name} is {value!r}")
         learner.restore(arrays, state["updates"])
     except Exception as error:  # a damaged file can make its reader raise anything
         raise RunError(
@@ -146,15 +154,44 @@ def _to_disk(path: Path) -> None:
         os.close(handle)
 
 
+def parts_of_run(folder: Path) -> list[Path]:
+    """What a run has left in a folder."""
+    named = (folder / name for name in (RUN, POLICY, CURVE, PICTURE, RESULTS, PAGE, BOARD))
+    return [*filter(Path.exists, named), *folder.glob(f"{_PREFIX}*")]
+
+
 def remove_run(folder: Path) -> None:
     """Remove what a run left in a folder.
 
     Raises:
         RunError: A checkpoint cannot be removed.
     """
-    for name in (RUN, POLICY, CURVE, PICTURE, RESULTS, PAGE):
-        (folder / name).unlink(missing_ok=True)
-    for old in (*folder.glob(f"{_PREFIX}*"), folder / BOARD):
-        shutil.rmtree(old, ignore_errors=True)
+    for part in parts_of_run(folder):
+        if part.is_dir():
+            shutil.rmtree(part, ignore_errors=True)
+        else:
+            part.unlink(missing_ok=True)
     if kept := latest_checkpoint(folder):
         raise RunError(f"cannot remove checkpoint '{kept}' of the run before")
+
+
+@contextmanager
+def alone_in(folder: Path) -> Iterator[None]:
+    """Keep a folder for one training, also beside other processes.
+
+    Raises:
+        RunError: Another training is writing to it, or it cannot be written.
+    """
+    from filelock import FileLock, Timeout  # of PyTorch's own requirements
+
+    lock = FileLock(folder / ".lock", blocking=False)
+    try:
+        lock.acquire()
+    except Timeout:
+        raise RunError(f"another training is writing to folder '{folder}'") from None
+    except OSError as error:
+        raise RunError(f"cannot lock folder '{folder}': {error.strerror or error}") from error
+    try:
+        yield
+    finally:
+        lock.release()

@@ -30,8 +30,10 @@ from agents.recipes import (
 from agents.recorded import Recorded
 from agents.runs import (
     RUN,
+    alone_in,
     latest_checkpoint,
     load_checkpoint,
+    parts_of_run,
     recipe_in,
     remove_run,
     save_checkpoint,
@@ -162,7 +164,8 @@ def main(argv: list[str] | None = None) -> int:
     args = parsed(argv)
     recipe = _resumed_recipe(args) if args.resume else _fresh_recipe(args)
     limit = 60 * args.time_limit
-    return train(recipe, args.out, fresh=not args.resume, time_limit=limit, nodes=args.nodes)
+    with alone_in(args.out):
+        return train(recipe, args.out, fresh=not args.resume, time_limit=limit, nodes=args.nodes)
 
 
 def parsed(argv: list[str] | None = None) -> Namespace:
@@ -209,9 +212,9 @@ def _fresh_recipe(args: Namespace) -> Recipe:
     if args.recipe is None:
         raise RecipeError(f"no recipe given: it must be one of {', '.join(sorted(RECIPES))}")
     recipe = recipe_of(args)
-    if any((args.out / name).exists() for name in (RUN, POLICY)) and not args.overwrite:
+    if (parts := parts_of_run(args.out)) and not args.overwrite:
         raise RunError(
-            f"folder '{args.out}' already holds a run: --resume continues it, --overwrite replaces it"
+            f"folder '{args.out}' already holds a run, '{parts[0].name}': --resume continues it, --overwrite replaces it"
         )
     if args.trials_of:
         recipe = _with_trials(recipe, args)

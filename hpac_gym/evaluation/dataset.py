@@ -151,7 +151,7 @@ def record(
         options: options of the environment.
 
     Raises:
-        DatasetError: `out` exists already.
+        DatasetError: `out` exists already, or the environment's `entry_point` is no text.
         OutputError: `out` cannot be written.
         PolicyError: The policy does not exist, or was made for another environment.
     """
@@ -162,6 +162,10 @@ def record(
         env = make_env(full_id(env_id), **(options or {}))
         try:
             actor = load_policy(policy, env, normalize)
+            try:
+                env.unwrapped.spec.to_json()
+            except ValueError as error:
+                raise DatasetError(f"a data set cannot name {env_id}: {error}") from None
             dataset = None
             if ":" in env_id:  # or nobody finds the module again
                 env.unwrapped.spec = replace(env.unwrapped.spec, id=env_id)

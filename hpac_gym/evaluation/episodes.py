@@ -66,7 +66,7 @@ class Step:
 
     @property
     def success(self) -> bool:
-        """Whether the episode has succeeded; False while it runs."""
+        """Whether the episode has succeeded, or, for a task that has it so, would if it ended now."""
         return bool(self.infos["is_success"][self.world]) if "is_success" in self.infos else False
 
 

@@ -113,8 +113,8 @@ def faults(results: Results) -> Iterator[str]:
             yield "summary does not follow from the cells"
     except KeyError as error:
         yield f"field {error} is missing"
-    except (TypeError, ValueError, AttributeError) as error:
-        yield f"a field has the wrong type: {error}"
+    except (TypeError, ValueError, AttributeError, ArithmeticError) as error:
+        yield f"a field has a wrong value: {error}"
 
 
 def _header_faults(results: Results) -> Iterator[str]:

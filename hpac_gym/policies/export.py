@@ -84,6 +84,7 @@ def card(policy: PolicyFile, evaluation: dict[str, Any] | None = None) -> dict[s
     return {
         "env_id": about["env_id"],
         "obs": about.get("obs"),
+        "wrist": about.get("wrist"),
         "inputs": policy.actor.sizes[0],
         "observation": [
             dict(zip(ENTRY, entry, strict=True)) for entry in fits.get("observation", [])

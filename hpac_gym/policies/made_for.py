@@ -79,12 +79,12 @@ def same_id(one: str, other: str) -> bool:
 
 def options_of(told: Mapping[str, Any]) -> dict[str, Any]:
     """Options of the environment without which a policy cannot act in it, of its description or its
-    card: a free wrist for one that shifts it, and the observation of one that sees more than
-    *deploy*.
+    card: a free wrist for one that moves or shifts it, and the observation of one that sees more
+    than *deploy*.
     """
     closure = told.get("decision", told).get("closure") or {}  # a card's is under its decision
-    wrist = {"wrist": "free"} if closure.get("shift") else {}
-    return wrist | ({"obs": told["obs"]} if told.get("obs") else {})
+    shifts = {"wrist": "free"} if closure.get("shift") else {}
+    return shifts | {name: told[name] for name in ("wrist", "obs") if told.get(name)}
 
 
 def require_fit(

@@ -11,11 +11,14 @@ import numpy as np
 import pytest
 from jax import tree
 
-from agents import RecipeError, RunError, race, reproduce, train
+from agents import RecipeError, RunError, race, reproduce, target_of, train
+from agents.curves import read_curve
+from agents.runs import alone_in
 from hpac_gym.command import INTERRUPTED, run
 from hpac_gym.envs.sb3 import HandVecEnv
 from hpac_gym.errors import HpacError
 from hpac_gym.policies import PolicyFile, read_policy, write_policy
+from hpac_gym.policies.made_for import options_of
 from hpac_gym.policies.policy_file import SHIPPED
 
 # Of TensorFlow Probability, on import.
@@ -96,8 +99,14 @@ def test_the_table_of_the_race_trains_who_is_missing_and_judges_all(tmp_path, mo
     )
     assert about["env_steps"] == about["decisions"] * about["action_repeat"] > 0
     assert about["settings"]["options"] == {}
+    assert len(read_curve(tmp_path / "sac-1" / "progress.csv")) > 0
     with pytest.raises(RunError, match="already holds a run"):
         race.main(["sac", "--out", str(tmp_path / "sac-0")])
+    with (
+        alone_in(tmp_path / "new"),
+        pytest.raises(RunError, match="another training is writing to folder"),
+    ):
+        race.main(["sac", "--out", str(tmp_path / "new")])
     path = tmp_path / "sac-1" / "policy.hpac"
     write_policy(path, PolicyFile(read_policy(path).actor, about | {"processor_seconds": 0.2}))
     assert reproduce.main([*words, "--learner", "sac", "--seeds", "2"]) == 0
@@ -135,6 +144,11 @@ def test_ctrl_c_in_a_training_ends_the_table(tmp_path, monkeypatch, capsys):
         == INTERRUPTED
     )
     assert len(begun) == 1
+
+
+def test_a_policy_tells_the_options_without_which_it_does_not_fit():
+    needed = {"wrist": "free", "obs": "load"}
+    assert options_of(target_of("HPAC-GraspAny-v1", **needed, engine="mujoco")) == needed
 
 
 @pytest.mark.parametrize("name", ["ppo", "sbx-sac"])

@@ -176,15 +176,9 @@ def test_a_training_takes_no_more_steps_than_it_may(tmp_path):
 
 
 def test_a_new_run_keeps_nothing_of_the_one_that_it_replaces(tmp_path):
-    leaves = {
-        "run.json",
-        "policy.hpac",
-        "progress.csv",
-        "learning_curve.png",
-        "checkpoint-000000012",
-        "tensorboard",
-    }
-    for name in (leaves - {"checkpoint-000000012", "tensorboard"}) | {"results.json", "results.md"}:
+    files = {"run.json", "policy.hpac", "progress.csv", "learning_curve.png"}
+    leaves = files | {"checkpoint-000000012", "tensorboard", ".lock"}
+    for name in files | {"results.json", "results.md"}:
         (tmp_path / name).write_text("of the run before")
     (tmp_path / "checkpoint-000000900").mkdir()
     train_here("grasp", "--out", tmp_path, "--overwrite", *SMALL, "--episodes", 12)
@@ -197,7 +191,7 @@ def test_a_checkpoint_that_cannot_be_removed_is_not_continued_by_another_run(tmp
     with pytest.raises(
         RunError, match=r"cannot remove checkpoint '.*checkpoint-000000008' of the run before"
     ):
-        train.main(["grasp", "--out", str(tmp_path), *SMALL])
+        train.main(["grasp", "--overwrite", "--out", str(tmp_path), *SMALL])
 
 
 @pytest.fixture(scope="module")
@@ -476,6 +470,10 @@ def test_a_diverged_learner_is_not_saved_over_the_checkpoint_before(learner, tmp
     assert list(tmp_path.iterdir()) == [kept]
 
 
+def told(path: Path, name: str, value: object) -> None:
+    path.write_text(json.dumps(json.loads(path.read_text()) | {name: value}))
+
+
 def half(path: Path) -> None:
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
 
@@ -492,8 +490,21 @@ def half(path: Path) -> None:
             ),
             r"of other versions: it was written with mujoco-core 1\.2, not \S+ as here",
         ),
+        *(
+            (
+                "state.json",
+                lambda path, name=name, value=value: told(path, name, value),
+                f"{name} is",
+            )
+            for name, value in [
+                ("updates", -5),
+                ("updates", 3.5),
+                ("seconds", "x"),
+                ("seconds", float("nan")),
+                ("env_steps", None),
+            ]
+        ),
     ],
-    ids=["half a state", "half of the arrays", "other versions"],
 )
 def test_a_checkpoint_that_does_not_fit_is_refused_in_one_error_and_kept(
     learner, recipe, tmp_path, name, change, complaint
@@ -503,3 +514,23 @@ def test_a_checkpoint_that_does_not_fit_is_refused_in_one_error_and_kept(
     with pytest.raises(RunError, match=complaint):
         runs_of.load_checkpoint(path, Learner(recipe, observed=60, deployed=44, phases=4), {})
     assert len(list(path.iterdir())) == 2
+
+
+@pytest.mark.parametrize("words", [["--overwrite"], ["--resume"]])
+def test_a_folder_that_another_training_writes_to_is_refused_and_kept(trained, tmp_path, words):
+    folder = copytree(trained / "grasp", tmp_path / "run")
+    begin = [] if words == ["--resume"] else ["grasp"]
+    with (
+        runs_of.alone_in(folder),
+        pytest.raises(RunError, match=f"another training is writing to folder '{folder}'"),
+    ):
+        train.main([*begin, *words, "--out", str(folder)])
+    assert curve(folder) == curve(trained / "grasp")
+
+
+def test_what_others_left_in_a_folder_is_not_removed_unasked(tmp_path):
+    board = tmp_path / "tensorboard" / "PPO_1"
+    board.mkdir(parents=True)
+    with pytest.raises(RunError, match="already holds a run, 'tensorboard': --resume"):
+        train.main(["grasp", "--out", str(tmp_path)])
+    assert board.exists()

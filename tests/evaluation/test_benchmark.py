@@ -278,7 +278,8 @@ def broken(results, *path, value):
         (("summary", 0, "iqm"), 0.99, "summary does not follow from the cells"),
         (("summary", 2, "interval_95", 1), 0.99, "summary does not follow from the cells"),
         (("cells", 0, "successes"), None, "field 'successes' is missing"),
-        (("cells", 0, "failures"), 3, "a field has the wrong type"),
+        (("cells", 0, "failures"), 3, "a field has a wrong value"),
+        (("episodes",), 0, "a field has a wrong value: division by zero"),
     ],
 )
 def test_a_results_file_that_was_changed_is_refused_with_its_fault(trained, path, value, told):

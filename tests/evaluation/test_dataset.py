@@ -1,6 +1,7 @@
 """What `hpac record` writes is what happened, and can be learned from."""
 
 import os
+import re
 from types import SimpleNamespace
 
 import gymnasium
@@ -15,8 +16,9 @@ from hpac_gym.evaluation.dataset import _appearing, read_dataset, record
 from hpac_gym.output import OutputError
 from hpac_gym.policies import read_policy
 from hpac_gym.policies.loading import load_policy
-from hpac_gym.registration import GENTLE
+from hpac_gym.registration import GENTLE, POSTURE
 from hpac_gym.tasks.posture import ScriptedPosture
+from tests.tiny_task import Tiny
 
 EPISODES = 12
 
@@ -111,6 +113,13 @@ def test_any_policy_and_id_has_a_name_that_minari_takes(tmp_path, monkeypatch, u
     assert os.environ.get("MINARI_DATASETS_PATH") == before
 
 
+def test_an_environment_that_no_text_names_is_not_recorded(tmp_path, unnumbered):
+    gymnasium.registry["Bare"].entry_point = Tiny
+    with pytest.raises(DatasetError, match="a data set cannot name Bare: Callable found"):
+        record(f"{__name__}:still", unnumbered, 1, tmp_path / "new")
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_policy_is_recorded_in_its_own_environment_with_the_options_that_it_needs(tmp_path):
     assert main(["record", "--policy", "gentle", "-n", "1", "--out", f"{tmp_path}/new"]) == 0
     spec = read_dataset(tmp_path / "new").spec.env_spec
@@ -148,6 +157,16 @@ def test_a_full_disk_is_told_before_hdf5_meets_it(tmp_path, monkeypatch):
     ):
         record("random", "HPAC-Grasp-v0", 1, tmp_path / "new", options={"engine": "mujoco"})
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_clones_successes_are_those_of_whole_episodes(monkeypatch, capsys):
+    """A posture tells in every step whether it is the goal's, and an episode ends at the first."""
+    monkeypatch.setattr(clone, "VISITS", 4)
+    actor = read_policy("posture").actor
+    clone.visit(actor, "scripted", POSTURE, {"engine": "mujoco"}, 0)
+    assert re.fullmatch(
+        r"in training, (0|25|50|75|100)% of 4 episodes won\n", capsys.readouterr().err
+    )
 
 
 def test_a_clone_does_what_it_was_shown(folder, tmp_path, capsys):
