@@ -12,6 +12,7 @@ from typing import Any
 from hpac_gym.command import add_json, say
 from hpac_gym.errors import PolicyError
 from hpac_gym.output import markdown, read_text, replacing
+from hpac_gym.policies.made_for import options_of
 from hpac_gym.policies.onnx_model import CARD, ENTRY, MODEL, onnx_model
 from hpac_gym.policies.policy_file import PolicyFile, read_policy
 
@@ -169,8 +170,8 @@ def page(told: dict[str, Any], film: bool) -> str:
             f"A decision is an action, held for {decision['control_steps']} steps of {told['control_hz']} per second.",
             "",
         ]
-    if told["obs"]:
-        lines += [f'With `obs="{told["obs"]}"`, whose own entries follow those below.', ""]
+    if needed := ", ".join(f'{name}="{value}"' for name, value in options_of(told).items()):
+        lines += [f"It needs `{needed}`: what that adds follows what is listed here.", ""]
     rows = [
         (
             place,

@@ -115,6 +115,8 @@ def test_it_acts_in_the_environment_as_the_policy_file_does(name, tmp_path):
 def test_a_policy_that_needs_options_gives_them_when_it_is_exported_too(name, tmp_path):
     export(SHIPPED[name], tmp_path)
     assert needed_options(str(tmp_path)) == needed_options(name)
+    for option, value in needed_options(name).items():
+        assert f'It needs `{option}="{value}"`: ' in (tmp_path / "README.md").read_text()
     with (
         gymnasium.make(read_policy(name).about["env_id"]) as env,
         pytest.raises(PolicyError, match=r"; it needs (obs='load'|wrist='free')"),
