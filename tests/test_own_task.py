@@ -19,6 +19,7 @@ from hpac_gym.envs import Grasp, HandEnv, HandVectorEnv, Posture, make_task
 from hpac_gym.envs.registered import options_of_id
 from hpac_gym.envs.snapshots import undeclared
 from hpac_gym.errors import EnvError, HpacError, ParameterError, ShapeError
+from hpac_gym.evaluation.environment import make_env
 from hpac_gym.tasks.task import Task
 from hpac_gym.tasks.terms import RewardTerm, Term, column
 from tests.processes import ROOT, python
@@ -108,6 +109,11 @@ class Paid(Grasp):
             r"term 'seen' must have shape \(2, 1\), not \(2,\)",
         ),
         ({"seen": lambda now: now.state.touching}, r"term 'seen' .* \(2, 1\), not \(2, 6\)"),
+        (
+            {"reward": lambda now: np.log(now.state.time - 1.0)},
+            r"reward term 'mine' must be finite, not \[nan nan\]",
+        ),
+        ({"seen": lambda now: column(now.state.time) * np.nan}, "term 'seen' is not a number: NaN"),
         ({"judged": lambda found: True}, r"judge must return \(2,\) indices .*, not True"),
         ({"judged": lambda found: found + 7}, r"indices into running, success, failure, not array"),
         ({"pushed": lambda times: np.ones((2, 3))}, r"push .* shape \(2, 6, 3\), not \(2, 3\)"),
@@ -365,6 +371,20 @@ def test_an_id_of_the_package_or_of_nobody_is_refused():
             make_task(wrong)
         assert isinstance(error.value, HpacError)
         assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("x = (\n", r"'broken_task:Mine-v0': '\(' was never closed \(broken_task.py, line 1\)"),
+        ("raise ValueError('hi')\n", "'broken_task:Mine-v0': hi"),
+    ],
+)
+def test_a_module_that_cannot_be_imported_is_told_in_one_line(tmp_path, monkeypatch, text, told):
+    (tmp_path / "broken_task.py").write_text(text)
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(EnvError, match=f"^no environment {told}$"):
+        make_env("broken_task:Mine-v0")
 
 
 def test_an_unknown_option_is_named():

@@ -278,6 +278,9 @@ def _terms(task: Task, now: Moment) -> dict[str, Array]:
             raise ShapeError(
                 f"reward term {name!r} must have shape {now.phase.shape}, not {value.shape}"
             )
+    if not np.isfinite([*terms.values()]).all():
+        bad = next(name for name, value in terms.items() if not np.isfinite(value).all())
+        raise ShapeError(f"reward term {bad!r} must be finite, not {terms[bad]}")
     return terms
 
 

@@ -64,14 +64,15 @@ def _refusing(env_id: str, options: Mapping[str, Any]) -> Iterator[None]:
         raise EnvError(f"no environment '{env_id}': an id is name-v0 or module:name-v0")
     try:
         yield
-    except (gymnasium.error.Error, ModuleNotFoundError) as error:
+    except (gymnasium.error.Error, ModuleNotFoundError, SyntaxError) as error:
         raise EnvError(f"no environment '{env_id}': {error}") from None
     except HpacError:
         raise
     except (TypeError, ValueError) as error:
         reason = f"{error}".partition(" was raised from")[0]
         given = ", ".join(name for name in options if name != "render_mode")
-        raise EnvError(f"no environment '{env_id}' with {given}: {reason}") from None
+        given = f" with {given}" if given else ""
+        raise EnvError(f"no environment '{env_id}'{given}: {reason}") from None
 
 
 def versions(*more: str) -> dict[str, str]:

@@ -25,7 +25,7 @@ from hpac_gym.envs import HandEnv
 from hpac_gym.evaluation.blind import scale_of
 from hpac_gym.evaluation.environment import make_env
 from hpac_gym.evaluation.episodes import BATCH, Step, has_batch, run_episodes, worlds
-from hpac_gym.evaluation.options import DEFAULT_ENV, add_policy_and_env, env_of
+from hpac_gym.evaluation.options import add_policy_and_env, env_of
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import paired_difference, success_counts
 from hpac_gym.evaluation.workers import shared
@@ -242,7 +242,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.formatter_class = Formatter
     add_policy_and_env(
         parser,
-        f"id, also module:My-v0 (default: a policy file's own, otherwise {DEFAULT_ENV})",
+        "id, also module:My-v0 (default: a policy file's own, otherwise HPAC-Grasp-v0)",
         required=True,
         action="append",
         help=f"{NAMES}; may be repeated, to compare",

@@ -246,7 +246,7 @@ class Layout:
         """Observation vectors, shape (n, size), clipped to the bounds (an object out of view).
 
         Raises:
-            ShapeError: A term's value has not a column for each of its labels.
+            ShapeError: A term's value has not a column for each of its labels, or is NaN.
         """
         parts = [self._fixed[term.name] if term.fixed else term.value(now) for term in self._terms]
         try:
@@ -260,4 +260,11 @@ class Layout:
                         f"term {term.name!r} must have shape {shape}, not {np.shape(part)}"
                     ) from None
             raise
+        if np.isnan(seen).any():
+            bad = next(
+                term.name
+                for term, part in zip(self._terms, parts, strict=True)
+                if np.isnan(part).any()
+            )
+            raise ShapeError(f"term {bad!r} is not a number: NaN")
         return np.minimum(seen, self.space.high, out=seen)

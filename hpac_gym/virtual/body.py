@@ -31,6 +31,8 @@ LONGEST_GAP_US = 500_000
 """Time that is caught up at most, for example after a computer has slept [µs]."""
 FAR = 0.5
 """Distance from the hand beyond which an object is put back [m]."""
+ASIDE = 0.01
+"""Way from its place beyond which an object is put back while nothing drives the hand [m]."""
 OPEN = 0.15
 """Largest true flexion of the servos of an open hand, with the zeros of a hidden one [rad]."""
 OPENED_AFTER_US = 3_000_000
@@ -192,16 +194,20 @@ class Body:
         return self._env.episodes.simulation.state()
 
     def tidy_up(self, state: SceneState) -> None:
-        """Somebody puts the object back when an episode is over, or the object far away, and the
-        hand open: its pulses were off since the episode began. A hand that stays closed without
-        pulses, as after an ESTOP, is opened then.
+        """Somebody puts the object back when an episode is over, that is, its pulses were off since
+        it began, or the object far away, or aside while nothing drives the hand, and the hand open.
+        A hand that stays closed without pulses, as after an ESTOP, is opened then.
         """
         over = self._began_us is not None and not self._powered
         lost = np.linalg.norm(state.object_pos[0]) > FAR
+        idle = self._at_us > self._driven_us
+        aside = idle and np.linalg.norm(state.object_pos[0] - self.setup.position) > ASIDE
         closed = state.horn[0, : len(DIGITS)].max() >= OPEN
-        if not (over or lost) or (closed and self._at_us - self._driven_us < OPENED_AFTER_US):
+        if not (over or lost or aside) or (
+            closed and self._at_us - self._driven_us < OPENED_AFTER_US
+        ):
             return
-        self.put_back(opened=closed, turned=not self._powered)
+        self.put_back(opened=closed, turned=idle)
 
     def put_back(self, opened: bool = False, turned: bool = False) -> None:
         """Put the object and the wrist back, the hand as its servos have it, or opened by somebody,

@@ -106,9 +106,10 @@ def is_back(hand):
     [(SUCCESS, "lift", True), (RUNNING, "lift", False), (RUNNING, "", True)],
 )
 def test_the_object_is_back_when_the_arm_is_asked_to_be_ready_before_or_after_an_episode(
-    hand, is_back, program, outcome, phase, back
+    hand, is_back, program, monkeypatch, outcome, phase, back
 ):
     """Also where the hand has kept its power since; during an episode it is not moved."""
+    monkeypatch.setattr(hand.body, "tidy_up", lambda state: None)
     hand.body.outcome = outcome
     hand._phase = phase
     program.send(READY)
@@ -412,6 +413,22 @@ def test_the_thumb_of_a_resting_hand_does_not_lie_in_the_object_of_a_named_grasp
             body.follow(began + 700_000, pulses_from_servo(np.zeros(6)))
             body.follow(began + 900_000, np.zeros(6))
             body.tidy_up(body.state())
+
+
+def test_an_object_that_a_program_has_pushed_aside_is_back_once_the_hand_has_no_pulses():
+    """As by arming a hand whose thumb lies on the other side of it."""
+    open_hand = pulses_from_servo(np.zeros(6))
+    with make_env(GRASP, engine="mujoco", body="light", grasp="small_cylinder") as made:
+        body = Body(made.unwrapped, 0, scene(made.unwrapped, GRASP, None))
+        for now in range(20_000, 2_000_000, 20_000):
+            body.follow(now, open_hand)
+            body.tidy_up(body.state())
+        away = np.linalg.norm(body.state().object_pos[0] - body.setup.position)
+        assert away > 0.015, "it is left where it lies while a program drives the hand"
+        for now in range(2_000_000, 2_200_000, 20_000):
+            body.follow(now, np.zeros(6))
+            body.tidy_up(body.state())
+        assert np.linalg.norm(body.state().object_pos[0] - body.setup.position) < 0.005
 
 
 @pytest.fixture
