@@ -42,6 +42,7 @@ MISTAKES = [
     ("hpac posture list fist", "error: unrecognized arguments: fist (see hpac posture"),
     ("hpac wiggle --port /dev/no-such-port", "/dev/no-such-port"),
     *((f"hpac {name}", "required: --port") for name in ("wiggle", "estop", "clear", "conform")),
+    ("hpac virtual --angles a.csv --grasp rod", "--angles has no scene: it goes without --env"),
     ("hpac wiggle --port virtual --angle 3", f"at most {min(HPAC.servo_max):.3f} rad"),
     ("hpac doctor --port ''", "--port '' names no port"),
     ("hpac posture nonsense", "nonsense"),

@@ -18,6 +18,7 @@ from hpac_gym.bridge import HostBoard, pulses_from_servo
 from hpac_gym.command import add_json, say, seconds, whole_number
 from hpac_gym.errors import ParameterError
 from hpac_gym.physics.engine import SceneSetup
+from hpac_gym.registration import GRASP
 from hpac_gym.virtual.body import Body
 from hpac_gym.virtual.hand import POSE_HZ, Tracker, Virtual
 from hpac_gym.virtual.scene import POLICIES, add_scene, revealed, scene, scene_env
@@ -77,6 +78,8 @@ def run(options: argparse.Namespace) -> int:
     """Be a hand until Ctrl-C."""
     if options.heat > 100:
         raise ParameterError(f"--heat {options.heat} % must be at most 100 %")
+    if options.angles and (options.env != GRASP or options.grasp):
+        raise ParameterError("--angles has no scene: it goes without --env and --grasp")
     faults = Faults(**{fault.name: getattr(options, fault.name) for fault in fields(Faults)})
     for number in (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)):
         if signal.getsignal(number) != signal.SIG_IGN:  # as `nohup` has it
