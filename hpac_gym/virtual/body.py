@@ -200,14 +200,13 @@ class Body:
         """
         over = self._began_us is not None and not self._powered
         lost = np.linalg.norm(state.object_pos[0]) > FAR
-        idle = self._at_us > self._driven_us
-        aside = idle and np.linalg.norm(state.object_pos[0] - self.setup.position) > ASIDE
+        idle_us = self._at_us - self._driven_us
+        moved = np.linalg.norm(state.object_pos[0] - self.setup.position) > ASIDE
         closed = state.horn[0, : len(DIGITS)].max() >= OPEN
-        if not (over or lost or aside) or (
-            closed and self._at_us - self._driven_us < OPENED_AFTER_US
-        ):
+        if closed and idle_us < OPENED_AFTER_US:
             return
-        self.put_back(opened=closed, turned=idle)
+        if over or lost or (moved and idle_us > 0):
+            self.put_back(opened=closed, turned=idle_us > 0)
 
     def put_back(self, opened: bool = False, turned: bool = False) -> None:
         """Put the object and the wrist back, the hand as its servos have it, or opened by somebody,
