@@ -65,7 +65,7 @@ def test_the_policy_file_acts_as_the_trained_model_predicts(name, trained, tmp_p
         model.policy.actor_state = state.replace(**changed)
     if name == "ppo":
         model.policy.action_net.bias.data[0] = 5.0  # beyond the bound
-    write_policy(tmp_path / "policy.hpac", PolicyFile(race.actor_of(model), {"env_id": GRASP}))
+    write_policy(tmp_path / "policy.hpac", PolicyFile(race.trained_actor(model), {"env_id": GRASP}))
     actor = read_policy(tmp_path / "policy.hpac").actor
     scaling = model.get_vec_normalize_env()
     seen = random.uniform(-1, 1, (20, 44))
@@ -202,7 +202,7 @@ def test_what_is_set_reaches_the_algorithm_the_worlds_and_the_environment(tmp_pa
     assert options == {"config": {"gap": [0.01, 0.02]}}
     model = race.learner_of(name, settings, share=lambda: 0.0)
     assert (model.gamma, model.n_steps, model.env.num_envs) == (0.9, 256, 2)
-    assert [len(bias) for _, bias in race.actor_of(model).layers] == [16, 16, 6]
+    assert [len(bias) for _, bias in race.trained_actor(model).layers] == [16, 16, 6]
     assert model.policy.log_std[0] == race.CONTENDERS["ppo"]["policy_kwargs"]["log_std_init"]
     model.env.close()
 
