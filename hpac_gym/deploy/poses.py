@@ -159,8 +159,12 @@ class Packets(Source):
                     raise PoseError(f"{PACKET} {packet[PACKET]!r}, this program reads {VERSION}")
                 numbers = [*packet["position"], *packet.get("quaternion", ())]
                 self._latest = pose_of(numbers, "packet"), at
-            except (PoseError, *MALFORMED) as error:
+            except PoseError as error:
                 self.fault = f"{error}"
+            except MALFORMED as error:
+                self.fault = (
+                    f"no packet with {PACKET}, position and quaternion: {data[:80]!r} ({error})"
+                )
 
     def close(self) -> None:
         self._socket.close()

@@ -246,8 +246,9 @@ def test_packets_come_by_udp_and_what_is_none_is_ignored(monkeypatch, udp):
     assert packets.latest() is None
     # Nobody asks meanwhile: a pose ages from when it came.
     udp.send(b'{"hpac_pose": 1, "position": [0.05, 0, 0.1]}')
-    udp.send(b"{}")
-    wait_for(lambda: "hpac_pose" in packets.fault, 10)
+    udp.send(b'{"pose": 1}')
+    wait_for(lambda: '"pose": 1' in packets.fault, 10)
+    assert packets.fault.startswith("no packet with hpac_pose, position and quaternion: ")
     now[0] = 10.0
     pose, age = packets.latest()
     assert pose.position.tolist() == [0.05, 0, 0.1]
