@@ -19,6 +19,7 @@ from hpac_gym.physics.settings import BODIES, HandSettings, WorldSettings
 from hpac_gym.physics.simulation import ENGINES
 from hpac_gym.physics.supports import support_boxes
 from hpac_gym.settings import check_bounds, check_choice, settings_from
+from hpac_gym.tasks.arrival import points_in_object
 from hpac_gym.tasks.cameras import CameraNoise
 from hpac_gym.tasks.options import Option, options_of
 from hpac_gym.tasks.task import GoalSetup, Task
@@ -223,5 +224,9 @@ def _checked_setup(given: Any, task: Task, hand: Hand) -> SceneSetup:
             raise ParameterError(
                 f"setup has the object's underside {height:.3f} m above its table at the {box.kind}: it must be above 0 m"
             )
+    if points_in_object(setup) > 2:  # the widest box that HPAC-Grasp-v0 draws has one
+        raise ParameterError(
+            f"setup has the hand inside its object, which is at {setup.position.tolist()} m in the hand's frame"
+        )
     task.check(setup)
     return setup

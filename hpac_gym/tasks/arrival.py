@@ -20,7 +20,7 @@ from hpac_gym.physics.engine import (
 from hpac_gym.physics.supports import POST, support_boxes
 from hpac_gym.tasks.grasp_data import NamedGrasp
 from hpac_gym.tasks.grasp_setups import quaternion_from_rpy
-from hpac_gym.tasks.occlusion import SKIN, Skeleton
+from hpac_gym.tasks.occlusion import SKIN, Skeleton, inside
 
 WRIST_ACTIONS = ("grasp_x", "grasp_y", "grasp_z", "turn_x", "turn_y", "turn_z")
 START = np.array([0.20, 0.0, 0.11])
@@ -39,6 +39,7 @@ WRIST_TURN = 2.0
 ALONG = 9
 """Points along each link at which it is compared with the support, at most 8 mm apart."""
 _SKELETON = Skeleton(1)
+_AROUND = np.vstack([np.zeros(3), np.eye(3), -np.eye(3)])
 
 
 def out_of_reach(setup: SceneSetup, start: NamedGrasp) -> SceneSetup:
@@ -102,14 +103,31 @@ def in_the_way(setup: SceneSetup) -> bool:
     joint_pos = joints_from_synergy(setup.synergy, setup.hand)
     if _SKELETON.thumb_in_finger(joint_pos, 0):
         return True
-    first, second = (
-        HAND_POSITION + ends[0] @ setup.hand_rotation.T
-        for ends in _SKELETON.segments(joint_pos[None], np.array([0]))
-    )
-    bones = first + np.linspace(0, 1, ALONG)[:, None, None] * (second - first)
+    bones = HAND_POSITION + _bones(joint_pos) @ setup.hand_rotation.T
     for box in support_boxes(setup):
         own = (bones - box.centre) @ matrix_from_quaternion(box.quaternion)
         distance = np.linalg.norm(np.maximum(np.abs(own) - box.half_extents, 0.0), axis=-1)
         if (distance < SKIN * _SKELETON.radius[0]).any():
             return True
     return False
+
+
+def points_in_object(setup: SceneSetup, skin: float = 0.0) -> int:
+    """How many points of the hand are inside the object at the start of an episode: those along the
+    axes of its links and palm, and with a `skin` others at this fraction of the radius about them.
+    """
+    if setup.object is None:
+        return 0
+    turn = setup.hand_rotation.T @ matrix_from_quaternion(setup.object_turn[0])
+    bones = _bones(joints_from_synergy(setup.synergy, setup.hand))
+    own = (bones - setup.position) @ turn
+    around = skin * _SKELETON.radius[0][:, None, None] * _AROUND
+    points = (own[:, :, None] + around).reshape(-1, 3)
+    solids = setup.object.solid_model.solids
+    return sum(int(inside(solid, points).sum()) for solid in solids)
+
+
+def _bones(joint_pos: Array) -> Array:
+    """Points along the axes of the hand's capsules, in the hand frame, shape (`ALONG`, m, 3) [m]."""
+    first, second = (ends[0] for ends in _SKELETON.segments(joint_pos[None], np.array([0])))
+    return first + np.linspace(0, 1, ALONG)[:, None, None] * (second - first)

@@ -13,6 +13,7 @@ from hpac_gym.model import HPAC, Hand
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import SceneSetup, SceneState
 from hpac_gym.settings import settings_from
+from hpac_gym.tasks.arrival import points_in_object
 from hpac_gym.tasks.grasp_data import (
     GRASPS,
     NOMINAL,
@@ -26,6 +27,7 @@ from hpac_gym.tasks.grasp_setups import (
     GraspConfig,
     setup_of_grasp,
 )
+from hpac_gym.tasks.occlusion import SKIN
 from hpac_gym.tasks.options import Option, config_option
 from hpac_gym.tasks.phases import PHASES, wrist_table
 from hpac_gym.tasks.privileged import PRIVILEGED_TERMS
@@ -49,6 +51,9 @@ from hpac_gym.tasks.terms import (
 
 CLOSE = PHASES.index("close")
 SHAKE = PHASES.index("shake")
+PLACES = 50
+MOST_PLACES = 1_000
+"""Places that are drawn for an object of one's own: before it is refused, and in an episode."""
 GRASP_OPTION = Option(
     "a named grasp with its object; None draws a primitive in front of the open hand",
     (None, *GRASPS),
@@ -120,6 +125,8 @@ class Grasp(Task):
         self.duration = self._ends[-1]
         self.terms = (*COMMAND_TERMS, *OBJECT_TERMS, *progress_terms(PHASES, self.duration))
         self.reward_terms = self._rewards()
+        if object is not None:
+            self._require_places()
 
     def _refuse_ranges(self, names: Sequence[str], reason: str) -> None:
         """Raise `ParameterError` for a config with other than the default ranges of these names."""
@@ -139,10 +146,28 @@ class Grasp(Task):
 
     def setup(self, rng: np.random.Generator, hand: Hand = HPAC) -> SceneSetup:
         """Draw one episode: the object, its place in front of the palm, and the open hand; or those
-        of a named grasp.
+        of a named grasp. An object of one's own gets a place where the hand is not inside it.
         """
         if self.grasp is not None:
             return setup_of_grasp(self.grasp, self.variant, rng, hand)
+        setup = self._drawn(rng, hand)
+        for _ in range(MOST_PLACES if self.object else 0):
+            if not points_in_object(setup, SKIN):
+                break
+            setup = self._drawn(rng, hand)
+        return setup
+
+    def _require_places(self) -> None:
+        """Refuse an object of one's own for which too few places are free."""
+        rng = np.random.default_rng(0)
+        drawn = [self._drawn(rng, HPAC) for _ in range(PLACES)]
+        if sum(points_in_object(setup, SKIN) == 0 for setup in drawn) < PLACES / 10:
+            size = " x ".join(f"{2 * half:.3g}" for half in self.object.half_extents)
+            raise ParameterError(
+                f"the object, {size} m, does not fit in front of the open hand: thumb or fingers are in its way"
+            )
+
+    def _drawn(self, rng: np.random.Generator, hand: Hand) -> SceneSetup:
         config = self.config
         shape = self.shapes[rng.integers(len(self.shapes))]
         width = rng.uniform(*config.radius)

@@ -218,10 +218,10 @@ def surface(name: str, solids: tuple[Solid, ...], count: int) -> tuple[Array, Ar
             if found.shape[1] >= count:
                 break
             drawn = np.array([_on_surface(solids[index], rng) for index in part]).swapaxes(0, 1)
-            inside = [
-                _inside(solid, drawn[0]) & (part != index) for index, solid in enumerate(solids)
+            buried = [
+                inside(solid, drawn[0]) & (part != index) for index, solid in enumerate(solids)
             ]
-            found = np.concatenate([found, drawn[:, ~np.any(inside, axis=0)]], axis=1)
+            found = np.concatenate([found, drawn[:, ~np.any(buried, axis=0)]], axis=1)
     found.setflags(write=False)
     return found[0, :count], found[1, :count]
 
@@ -286,7 +286,7 @@ def _on_surface(solid: Solid, rng: np.random.Generator) -> tuple[Array, Array]:
     return solid.center + solid.rotation @ place, solid.rotation @ normal
 
 
-def _inside(solid: Solid, points: Array) -> NDArray[np.bool_]:
+def inside(solid: Solid, points: Array) -> NDArray[np.bool_]:
     """True where points in the object's frame, shape (p, 3) [m], are inside a solid."""
     own = (points - solid.center) @ solid.rotation
     half = np.array(solid.size) / 2

@@ -6,9 +6,12 @@ import gymnasium
 import numpy as np
 import pytest
 
-from hpac_gym.envs import ScriptedClosure
+from hpac_gym.body.objects import ObjectSpec
+from hpac_gym.envs import Grasp, ScriptedClosure
 from hpac_gym.model import HPAC
+from hpac_gym.tasks.arrival import points_in_object
 from hpac_gym.tasks.grip import MAX_SLIP
+from hpac_gym.tasks.occlusion import SKIN
 from hpac_gym.tasks.phases import PHASES, Timetable, wrist_table
 from tests.envs.episodes import Still, a_setup, run, steps
 
@@ -129,6 +132,14 @@ def test_the_effort_counts_the_change_though_the_caller_writes_over_his_action(e
     action[:] = 0.5
     *_, info = env.step(action)
     assert info["reward_terms"]["effort"] == pytest.approx(-0.01 * 6 * 0.25)
+
+
+def test_a_wide_object_of_ones_own_is_placed_where_the_hand_is_not():
+    task = Grasp(object=ObjectSpec("sphere", (0.06, 0.06, 0.06), mass=0.1, friction=0.8))
+    rng = np.random.default_rng(0)
+    drawn = [task._drawn(rng, HPAC) for _ in range(40)]
+    assert sum(points_in_object(setup) > 0 for setup in drawn) > 10
+    assert not any(points_in_object(task.setup(rng), SKIN) for _ in range(40))
 
 
 def test_sparse_reward_is_success_alone():

@@ -198,6 +198,11 @@ SETUPS = [
     ({"setup": a_setup(hand="mine.toml")}, ParameterError, "of type Hand, not 'mine.toml'"),
     ({"setup": a_setup(hand_settings={})}, ParameterError, "of type HandSettings, not {}"),
     ({"setup": a_setup(support=(0.1, 0.1))}, ParameterError, "of type Support or NoneType, not"),
+    (
+        {"setup": a_setup(position=np.array([0.0, 0.004, 0.112]))},
+        ParameterError,
+        r"hand inside its object, which is at \[0\.0, 0\.004, 0\.112\] m",
+    ),
     ({"setup": a_setup(fixed="no")}, ParameterError, "setup fixed must be of type bool, not 'no'"),
     ({"setup": a_setup(rest_height=0.9)}, ParameterError, "object's underside -0.[0-9]+ m above"),
     (
@@ -340,7 +345,7 @@ def test_a_setup_of_lists_is_that_of_its_arrays_and_tuples():
 
 def test_a_quaternion_of_four_digits_is_taken_and_made_one():
     with gymnasium.make("HPAC-Grasp-v0") as env:
-        env.reset(options={"setup": a_setup(object_quaternion=(0.7071, 0, 0, 0.7071))})
+        env.reset(options={"setup": a_setup(object_quaternion=(0, 0, 0.7071, 0.7071))})
         (taken,) = env.unwrapped.episodes.setups
     assert np.linalg.norm(taken.object_quaternion) == pytest.approx(1, abs=1e-12)
 
@@ -380,6 +385,11 @@ PRESET = r"randomize must be a preset \(nominal, .*; got "
         (GRASP, {"grasp": ["rod"]}, r"no grasp \['rod'\]"),
         (GRASP, {"grasp": 3}, "no grasp 3"),
         (GRASP, {"grasp": "cylinder"}, "'cylinder'.*large_cylinder"),
+        (
+            GRASP,
+            {"object": ObjectSpec("sphere", (0.08, 0.08, 0.08), mass=0.1, friction=0.8)},
+            "0.16 x 0.16 x 0.16 m, does not fit in front of the open hand",
+        ),
         (GRASP, {"grasp": "rod", "variant": "huge"}, "'huge'.*slippery"),
         (GRASP, {"grasp": "rod", "variant": ["large"]}, r"no variant \['large'\]"),
         (GRASP, {"variant": "large"}, "needs a named grasp"),

@@ -285,6 +285,14 @@ static void a_low_supply_keeps_the_hand_from_arming_and_stops_it(void)
     bench.now_us++;
     hpac_hand_tick(&bench.hand, &bench.config, bench.now_us, bench.pulses);
     CHECK(bench_arm(&bench, HPAC_ACTION_HOLD, 0) == HPAC_REASON_SUPPLY);
+    hpac_hand_inputs(&bench.hand, false, 0); /* nothing is measured */
+    bench_run(&bench, 1);
+    hpac_hand_inputs(&bench.hand, false, 1);
+    for (int i = 0; i < 1 << 20; i++) { /* 2^32 us, and the time that it was low is not 0 again */
+        bench.now_us += 4096;
+        hpac_hand_tick(&bench.hand, &bench.config, bench.now_us, bench.pulses);
+    }
+    CHECK(bench_arm(&bench, HPAC_ACTION_HOLD, 0) == HPAC_REASON_SUPPLY);
     hpac_hand_inputs(&bench.hand, false, HPAC_SUPPLY_MIN_MV);
     bench_run(&bench, 1);
     CHECK(bench_arm(&bench, HPAC_ACTION_HOLD, 0) == HPAC_REASON_OK);

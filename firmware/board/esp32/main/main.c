@@ -28,19 +28,23 @@ static loop_t loop;
 
 uint64_t board_clock_us(void) { return (uint64_t)esp_timer_get_time(); }
 
+enum { RST_PWR_GLITCH = 14, RST_CPU_LOCKUP = 15 }; /* of esp_reset_reason_t; the first releases of 5.2 have no names for them */
+
 static hpac_reset_t reset_reason(void)
 {
-    switch (esp_reset_reason()) {
+    switch ((int)esp_reset_reason()) {
     case ESP_RST_POWERON:
         return HPAC_RESET_POWER_ON;
     case ESP_RST_SW:
         return HPAC_RESET_SOFTWARE;
     case ESP_RST_BROWNOUT:
+    case RST_PWR_GLITCH:
         return HPAC_RESET_BROWNOUT;
     case ESP_RST_PANIC:
     case ESP_RST_INT_WDT:
     case ESP_RST_TASK_WDT:
     case ESP_RST_WDT:
+    case RST_CPU_LOCKUP:
         return HPAC_RESET_CRASH;
     default:
         return HPAC_RESET_OTHER;

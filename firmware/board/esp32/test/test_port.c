@@ -257,6 +257,8 @@ static void resets_are_told(void)
         { ESP_RST_INT_WDT, HPAC_RESET_CRASH, HPAC_STATE_FAULT },     { ESP_RST_TASK_WDT, HPAC_RESET_CRASH, HPAC_STATE_FAULT },
         { ESP_RST_WDT, HPAC_RESET_CRASH, HPAC_STATE_FAULT },         { ESP_RST_EXT, HPAC_RESET_OTHER, HPAC_STATE_IDLE },
         { ESP_RST_UNKNOWN, HPAC_RESET_OTHER, HPAC_STATE_IDLE },
+        { (esp_reset_reason_t)14, HPAC_RESET_BROWNOUT, HPAC_STATE_FAULT }, /* a glitch of the supply */
+        { (esp_reset_reason_t)15, HPAC_RESET_CRASH, HPAC_STATE_FAULT },    /* the processor locked up */
     };
     for (size_t i = 0; i < sizeof rows / sizeof rows[0]; i++) {
         const uint8_t *hello = hello_after(rows[i].reason);
