@@ -116,8 +116,10 @@ class Body:
             hand = setup.hand
             synergy = synergy_from_servo(np.clip(servo, hand.servo_min, hand.servo_max), hand)
             setup = replace(setup, synergy=synergy)
-        self._env.reset(seed=self._seed, options=None if setup is None else {"setup": setup})
-        self.setup: SceneSetup = self._env.episodes.setups[0]
+        # Not `reset` of the environment, which refuses a hand that its servos left in the object.
+        episodes = self._env.episodes
+        episodes.reset([0], [np.random.default_rng(self._seed)], None if setup is None else [setup])
+        self.setup: SceneSetup = episodes.setups[0]
         self._table = self._env.task.wrist_path(self.setup, self._env.episodes.wrists.times)
         self.outcome = RUNNING
         self._path = Path()
