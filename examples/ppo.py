@@ -50,6 +50,8 @@ def train(s: Settings) -> Path:
     torch.set_num_threads(1)
     how = {"engine": "mujoco", "autoreset_mode": AutoresetMode.SAME_STEP}
     envs = gymnasium.make_vec(s.env, s.num_envs, **how)
+    if not envs.single_observation_space.shape:
+        raise SystemExit(f"error: env is {s.env!r}, whose observation is not a vector")
     observed = envs.single_observation_space.shape[0]
     acted = envs.single_action_space.shape[0]
     actor = mlp(observed, acted)

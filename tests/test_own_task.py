@@ -132,6 +132,15 @@ def test_a_wrist_stays_within_its_range():
         env.reset(seed=0)
 
 
+def test_a_task_that_draws_no_setup_is_told():
+    class Empty(Grasp):
+        def setup(self, rng, hand):
+            return None
+
+    with closing(HandEnv(Empty())) as env, pytest.raises(ParameterError, match="SceneSetup, not N"):
+        env.reset(seed=0)
+
+
 class Twice(Grasp):
     """`Grasp` with two terms of one name in the observation or the reward."""
 

@@ -140,7 +140,7 @@ class Commands:
             if np.isnan(actions).any():
                 raise
             raise WorkspaceError(
-                f"{error}; wrap in gymnasium.wrappers.ClipAction, which clips it"
+                f"{error}; gymnasium.wrappers.ClipAction clips it, and gymnasium.wrappers.vector.ClipAction a batch's"
             ) from None
         self._flexing = flexing
         return target

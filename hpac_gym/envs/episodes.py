@@ -244,6 +244,8 @@ def _setup(
     """
     drawn = given is None or isinstance(given, GoalSetup)
     setup = given or task.setup(rng, options.hand)
+    if not isinstance(setup, SceneSetup):
+        raise ParameterError(f"setup must return a SceneSetup, not {setup!r}")
     settings = setup.hand_settings
     if drawn and any(zero := options.hand.calibration.servo_zero):
         zero = tuple(np.add(settings.servo_zero, zero).tolist())

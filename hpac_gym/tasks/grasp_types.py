@@ -175,8 +175,8 @@ class GraspByType(Grasp):
             self._push_term(),
             RewardTerm(
                 "carry",
-                f"afterwards: {weights.carry:g} · (1 − slip / MAX_SLIP) for an object that the hand carries free of its support, "
-                "times the score of the type's rule: the mean over its clauses at the last evaluation",
+                f"afterwards: {weights.carry:g} · max(1 − slip / MAX_SLIP, 0) for an object that the hand carries "
+                "free of its support, times the score of the type's rule: the mean over its clauses at the last evaluation",
                 lambda now: paid_where(
                     now.began != CLOSE,
                     lambda: weights.carry * self.grip.firmness * self.holds.kept,

@@ -34,10 +34,12 @@ def options_of(make: Callable[..., Any]) -> tuple[Option, ...]:
     return tuple(found)
 
 
-def config_option(kind: type) -> Option:
+def config_option(
+    kind: type, holds: str = "sampling ranges, success criteria and reward weights"
+) -> Option:
     """The option `config` of a task whose settings are of a class."""
     return Option(
-        "sampling ranges, success criteria and reward weights; None is as on this page",
+        f"{holds}; None is as on this page",
         (None,),
         f"`hpac_gym.envs.{kind.__name__}`, dictionary of its fields",
     )

@@ -115,7 +115,8 @@ class Posture(Task):
     def __init__(
         self,
         config: Annotated[
-            PostureConfig | Mapping[str, Any] | None, config_option(PostureConfig)
+            PostureConfig | Mapping[str, Any] | None,
+            config_option(PostureConfig, "duration and tolerance"),
         ] = None,
     ) -> None:
         self.config = settings_from(PostureConfig(), config, "config")

@@ -244,7 +244,7 @@ def carry_term(weights: Any, closing: int) -> RewardTerm:
     """Reward for carrying the object after the closing phase."""
     return RewardTerm(
         "carry",
-        f"afterwards: {weights.carry:g} · (1 − slip / MAX_SLIP) for an object that the hand carries free of its support",
+        f"afterwards: {weights.carry:g} · max(1 − slip / MAX_SLIP, 0) for an object that the hand carries free of its support",
         lambda now: paid_where(now.began != closing, lambda: weights.carry * now.grip.firmness),
     )
 
