@@ -324,6 +324,15 @@ def test_a_program_that_ends_leaves_the_hand_without_pulses_and_its_port_free(
         assert link.state == "idle"
 
 
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_ends_conform_without_pulses(host_board, number):
+    with started("-m", "hpac", "conform", "--port", host_board.port) as process:
+        wait_for(lambda: host_board.pulses().all())
+        process.send_signal(number)
+        assert process.wait(60) == 128 + number
+    wait_for(lambda: not host_board.pulses().any(), 3)
+
+
 def test_a_system_without_fork_and_its_signals_has_links_too():
     program = """
 import logging, os, random, signal, threading

@@ -9,12 +9,11 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 
-from hpac_gym.bridge.errors import BridgeError
-from hpac_gym.bridge.evidence import codec as wire
-from hpac_gym.bridge.evidence.device import OURS, BrokenRule, Device
+from hpac_gym.bridge.evidence.device import BrokenRule, Device
 from hpac_gym.bridge.evidence.frame_rules import FRAME_RULES
 from hpac_gym.bridge.evidence.motion_rules import MOTION_RULES
 from hpac_gym.bridge.evidence.stop_rules import STOP_RULES
+from hpac_gym.bridge.interrupts import interrupts
 from hpac_gym.bridge.transport import Transport
 from hpac_gym.model import HPAC, Hand
 
@@ -52,6 +51,7 @@ def conform(transport: Transport, hand: Hand = HPAC, patience: float = 0.3) -> I
         patience: time-out of one answer [s].
     """
     device = Device(transport, hand, patience)
+    interrupts.link_opened(device)
     try:
         for _ in range(math.ceil(_BOOT_TIME / patience)):
             with suppress(BrokenRule):
@@ -66,7 +66,5 @@ def conform(transport: Transport, hand: Hand = HPAC, patience: float = 0.3) -> I
                 failure = str(broken)
             yield Row(rule, device.tried, failure)
     finally:
-        with suppress(BridgeError):
-            device.send(wire.CLEAR, OURS)
-            device.send(wire.ESTOP)
-        transport.close()
+        device.end()
+        interrupts.link_closed(device)

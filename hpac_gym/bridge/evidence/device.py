@@ -3,7 +3,10 @@
 import re
 import struct
 from collections import namedtuple
+from contextlib import suppress
+from threading import current_thread
 
+from hpac_gym.bridge.errors import BridgeError
 from hpac_gym.bridge.evidence import codec as wire
 from hpac_gym.bridge.limits import servo_limits
 from hpac_gym.bridge.protocol import CONSTANTS, Action, Fault, Reason, State, name_of
@@ -153,6 +156,14 @@ class Device(Talk):
         self.hand = hand
         self.hash = 0
         self.tried = 0
+        self.thread = current_thread()
+
+    def end(self) -> None:
+        """Leave the device without pulses and close the port."""
+        with suppress(BridgeError):
+            self.send(wire.CLEAR, OURS)
+            self.send(wire.ESTOP)
+        self.transport.close()
 
     def expect(self, kept: bool, what: str) -> None:
         """Check the current rule and count the check.
