@@ -35,7 +35,7 @@ def release(exchange: Exchange, greeted: bool, timeout: float) -> tuple[str, Bas
         received in the meantime (`KeyboardInterrupt`, `SystemExit`), or None.
     """
     known = exchange.known
-    interrupt = _relaxed(exchange, timeout) if greeted and known.in_fault else None
+    interrupt = _relaxed(exchange, timeout) if greeted and known.may_have_power else None
     until = exchange.transport.now() + LAST_WORDS_TIME
     sent_before = dict(exchange.sent)
     failure = "no answer"
@@ -75,16 +75,18 @@ def release(exchange: Exchange, greeted: bool, timeout: float) -> tuple[str, Bas
 
 def _relaxed(exchange: Exchange, timeout: float) -> BaseException | None:
     """Ask a hand in a fault after its state, which may confirm that it has no pulses, and wait while
-    it relaxes; returns the interrupt received in the meantime, which ends the wait.
+    it relaxes; returns the interrupt received in the meantime, which ends the wait. Whether it is
+    in one is asked once: the stop of another program may have read what the hand said.
     """
     known = exchange.known
     until = exchange.transport.now() + RELAX_TIME
     late = Late("waiting until the hand has relaxed")
     try:
-        while exchange.transport.now() < until:
+        if not known.in_fault:
+            exchange.request("hello", {"nonce": 0}, timeout=timeout, attempts=1)
+        while known.in_fault and exchange.transport.now() < until:
             exchange.request("status", timeout=timeout, attempts=10)
-            relaxes = known.in_fault and known.may_have_power
-            if not (relaxes and known.status and known.status.moving):
+            if not (known.may_have_power and known.status and known.status.moving):
                 break
             late()
             exchange.listen(_POLL)

@@ -572,9 +572,8 @@ def test_a_program_that_is_refused_lets_the_hand_of_another_relax(virtual_hand, 
     with pytest.raises(FaultError, match="watchdog"), HandLink(virtual_hand.connect) as other:
         assert virtual_hand.pulses().all()
         other.arm()
+    link.close()
     require_relaxed(virtual_hand, "watchdog")
-    with pytest.warns(UnconfirmedWarning, match="another program has greeted the hand"):
-        link.close()
 
 
 def test_a_reset_that_stays_disarmed_until_clear_does_so_for_every_program():
@@ -602,6 +601,14 @@ def test_a_latched_fault_without_pulses_is_left_for_the_next_session(virtual_han
     for _ in range(2):
         with HandLink(virtual_hand.connect) as link:
             link.estop()
+    assert HandLink(virtual_hand.connect).connect().state == "fault"
+
+
+def test_a_stop_of_which_another_program_has_read_all_is_left_for_somebody_to_clear(virtual_hand):
+    with HandLink(virtual_hand.connect) as link:
+        link.arm(Action.hold)
+        virtual_hand.receive(encode(Frame("estop", 1)))
+        virtual_hand.transmit()
     assert HandLink(virtual_hand.connect).connect().state == "fault"
 
 
