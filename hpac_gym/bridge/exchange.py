@@ -151,11 +151,12 @@ class Exchange:
         flags: int = 0,
         timeout: float = 0.1,
         attempts: int = 3,
+        late: bool = False,
     ) -> Frame:
         """Send a message and return its answer: an ACK, or the specific answer to this message.
 
         The same frame is sent up to `attempts` times, `timeout` [s] apart; the hand executes it
-        only once.
+        only once. What a `late` answer confirms is known also after these, if no ARM follows.
 
         Raises:
             LinkTimeout: No answer.
@@ -174,7 +175,8 @@ class Exchange:
                 if waiting.answer is not None:
                     return waiting.answer
         finally:
-            del self._open[frame.seq]
+            if not late:
+                del self._open[frame.seq]
         raise LinkTimeout(f"no answer to {name}: {attempts} times, {timeout:g} s each")
 
     def send(self, name: str, fields: Fields | None = None) -> int:

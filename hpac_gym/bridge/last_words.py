@@ -2,7 +2,7 @@
 
 One that relaxes in a fault is waited for, and one without pulses in a fault is left in it."""
 
-from hpac_gym.bridge.errors import LinkTimeout, PortError
+from hpac_gym.bridge.errors import LinkTimeout, PortError, tell
 from hpac_gym.bridge.exchange import Exchange
 from hpac_gym.bridge.protocol import Fault, Reason
 from hpac_gym.progress import Late
@@ -36,6 +36,7 @@ def release(exchange: Exchange, greeted: bool, timeout: float) -> tuple[str, Bas
     """
     known = exchange.known
     interrupt = _relaxed(exchange, timeout) if greeted and known.may_have_power else None
+    fault = known.fault
     until = exchange.transport.now() + LAST_WORDS_TIME
     sent_before = dict(exchange.sent)
     failure = "no answer"
@@ -50,7 +51,7 @@ def release(exchange: Exchange, greeted: bool, timeout: float) -> tuple[str, Bas
                     if known.may_have_power:
                         if name == "clear" and known.fault == Fault.estop.name:
                             name = "estop"  # CLEAR would leave the fault
-                        answer = exchange.request(name, timeout=timeout, attempts=1)
+                        answer = exchange.request(name, timeout=timeout, attempts=1, late=True)
                         if answer.name == "ack" and answer.number("reason") == Reason.session:
                             return TAKEN_OVER, interrupt
             except LinkTimeout:
@@ -63,6 +64,9 @@ def release(exchange: Exchange, greeted: bool, timeout: float) -> tuple[str, Bas
         again = greeted and not port_gone and exchange.transport.now() < until
         attempts = _ATTEMPTS if again else ()
     if not known.may_have_power:
+        if exchange.sent["estop"] > sent_before["estop"] and fault != Fault.estop.name:
+            said = "CLEAR was not answered in time, ESTOP was sent: `hpac clear` leaves a fault"
+            tell(UserWarning(said))
         return "", interrupt
     counts = ((name.upper(), count - sent_before[name]) for name, count in exchange.sent.items())
     tried = ", ".join(f"{name} × {count}" for name, count in counts if count)

@@ -16,6 +16,7 @@ import time
 import warnings
 from asyncio import CancelledError
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
 from itertools import count
 from pathlib import Path
 from unittest.mock import Mock
@@ -403,6 +404,21 @@ def test_a_blackout_at_the_end_does_not_leave_a_holding_hand_on(virtual_hand):
         link.arm(Action.hold, watchdog=2.0)
         transport.since = transport.now()
     assert not virtual_hand.pulses().any()
+
+
+@pytest.mark.parametrize(("latency", "fault"), [(0.12, "none"), (0.29, "none"), (0.4, "estop")])
+def test_a_late_answer_confirms_and_a_stop_that_came_before_it_is_told(
+    virtual_hand, overheard, latency, fault
+):
+    link = HandLink(lambda: overheard)
+    link.connect()
+    link.arm()
+    overheard.spoil(latency=latency)
+    late = pytest.warns(UserWarning, match="ESTOP was sent")
+    with late if fault == "estop" else nullcontext():
+        link.close()
+    with HandLink(virtual_hand.connect) as after:
+        assert after.status().fault == fault
 
 
 @pytest.mark.parametrize("closed", [False, True])
