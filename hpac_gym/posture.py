@@ -76,14 +76,24 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.port:
         from hpac_gym.bridge.commands import send_and_hold
 
-        send_and_hold(arguments.port, command_to(shown[0], hand), hand)
+        send_and_hold(arguments.port, commands_to(shown[0], hand), hand)
     return 0
 
 
-def command_to(item: Posture, hand: Hand = HPAC) -> ServoCommand:
-    """Command that moves an open hand to a posture at the rate limit."""
+def commands_to(item: Posture, hand: Hand = HPAC) -> list[ServoCommand]:
+    """Commands that move an open hand to a posture at the rate limit, one after the other.
+
+    In a gesture the thumb turns in front of the palm, the fingers close, and the thumb closes over
+    them, as a person makes a fist."""
     servo = reach(item.target_joint_pos, hand).servo
-    return ServoCommand(servo, max(move_duration(hand.servo_min, servo, hand), 0.1))
+    duration = max(move_duration(hand.servo_min, servo, hand), 0.1)
+    rest = np.clip(0.0, hand.servo_min, hand.servo_max)
+    gesture = item.kind == "gesture"
+    still_open = [("thumb_mp", *FINGERS), ("thumb_mp",), ()] if gesture else [()]
+    return [
+        ServoCommand(np.where(np.isin(SERVOS, names), rest, servo), duration)
+        for names in still_open
+    ]
 
 
 def description(item: Posture, hand: Hand = HPAC) -> dict[str, object]:
@@ -151,19 +161,12 @@ def picture(item: Posture, hand: Hand = HPAC) -> np.ndarray:
 
 
 def take(item: Posture, hand: Hand = HPAC, visuals: bool = False) -> HandOnStand:
-    """Simulate a hand that moves from open to a posture; the caller closes it.
-
-    In a gesture the thumb turns in front of the palm, the fingers close, and the thumb closes over
-    them, as a person makes a fist."""
+    """Simulate a hand that moves from open to a posture; the caller closes it."""
     settings = replace(HAND, servo_zero=hand.calibration.servo_zero)
     sim = HandOnStand(hand, settings, WORLD, UPRIGHT, visuals)
     sim.reset(np.zeros(len(SERVOS)))
-    command = command_to(item, hand)
-    if item.kind == "gesture":
-        for still_open in ("thumb_mp", *FINGERS), ("thumb_mp",):
-            servo = np.where([name in still_open for name in SERVOS], 0.0, command.servo)
-            sim.command(servo, command.duration)
-            sim.step(command.duration)
-    sim.command(command.servo, command.duration)
-    sim.step(command.duration + SETTLE)
+    for command in commands_to(item, hand):
+        sim.command(command.servo, command.duration)
+        sim.step(command.duration)
+    sim.step(SETTLE)
     return sim

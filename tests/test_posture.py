@@ -11,7 +11,7 @@ import pytest
 from experiments.quasistatic import Built, Metal, hand_course
 from hpac_gym import posture as posture_command
 from hpac_gym.body.geometry import link_poses, load_geometry
-from hpac_gym.bridge import commands
+from hpac_gym.bridge import HandLink, commands
 from hpac_gym.model import HPAC, JOINT_INDEX, POSTURES, joints_from_synergy, posture, reach
 from hpac_gym.model.calibration import Calibration, Friction
 from tests.options import called
@@ -107,14 +107,20 @@ def test_a_calibrated_hand_is_commanded_with_what_was_learned():
 
 def test_a_posture_is_sent_to_the_port_that_is_named(monkeypatch):
     sent = []
-    monkeypatch.setattr(
-        commands, "send_and_hold", lambda port, command, hand: sent.append((port, command))
-    )
+    monkeypatch.setattr(commands, "send_and_hold", lambda *words: sent.append(words))
     assert run("fist", "--port", "/dev/hand") == 0
-    ((port, command),) = sent
-    assert port == "/dev/hand"
-    assert command.servo == pytest.approx(posture_command.command_to(posture("fist")).servo)
+    ((port, (*_, command), hand),) = sent
+    assert (port, hand) == ("/dev/hand", HPAC)
+    assert command.servo == pytest.approx(reach(posture("fist").target_joint_pos).servo)
     assert command.duration == pytest.approx(max(command.servo - HPAC.servo_min) / HPAC.rate_limit)
+
+
+@pytest.mark.parametrize(("name", "moves"), [("fist", [1, 4, 1]), ("oppose_index", [3])])
+def test_in_a_sent_gesture_the_thumb_turns_first_and_closes_last(name, moves, monkeypatch):
+    poses = [np.zeros(6)]
+    monkeypatch.setattr(HandLink, "move", lambda self, command: poses.append(command.servo))
+    assert run(name, "--port", "virtual") == 0
+    assert np.count_nonzero(np.diff(poses, axis=0), axis=1).tolist() == moves
 
 
 def test_a_posture_is_sent_without_matplotlib():

@@ -191,13 +191,13 @@ def _doctor(options: argparse.Namespace) -> int:
     return 0 if any(finding.healthy for finding in findings) else 1
 
 
-def send_and_hold(port: str, command: ServoCommand, hand: Hand = HPAC) -> None:
+def send_and_hold(port: str, commands: Iterable[ServoCommand], hand: Hand = HPAC) -> None:
     """Arm the hand at a port, move it from rest, wait until it has arrived, and hold it until
     Ctrl-C, unless it is virtual.
 
     Args:
         port: as in the commands.
-        command: target angles and duration of the move.
+        commands: target angles and duration of each move.
         hand: the hand with whose limits the firmware must have been built.
 
     Raises:
@@ -206,13 +206,12 @@ def send_and_hold(port: str, command: ServoCommand, hand: Hand = HPAC) -> None:
     """
     with _linked(port, hand) as link:
         link.arm()
-        rest = np.clip(0.0, hand.servo_min, hand.servo_max)
-        link.move(
-            ServoCommand(
-                command.servo, max(command.duration, 1.1 * move_duration(rest, command.servo, hand))
-            )
-        )
-        link.wait()
+        pose = np.clip(0.0, hand.servo_min, hand.servo_max)
+        for command in commands:
+            fastest = 1.1 * move_duration(pose, command.servo, hand)
+            link.move(ServoCommand(command.servo, max(command.duration, fastest)))
+            link.wait()
+            pose = command.servo
         if port == "virtual":  # held, its clock would run on to the overload at once
             print("arrived", file=sys.stderr)
             return

@@ -332,14 +332,14 @@ def test_limits_of_another_hand_are_refused_by_name(slower_hand, host_board):
 def test_a_posture_is_sent_with_the_limits_of_its_own_hand(slower_hand, monkeypatch, capsys):
     hand, _ = slower_hand
     virtual = VirtualHand(config=config_of(hand))
-    send_and_hold("virtual", ServoCommand(np.full(6, 0.5), 0.1), hand)
+    send_and_hold("virtual", [ServoCommand(np.full(6, 0.5), 0.1)], hand)
     assert capsys.readouterr().err == "arrived\n"
     monkeypatch.setattr("hpac_gym.bridge.commands.connector", lambda *_: virtual.connect)
     monkeypatch.setattr(HandLink, "sleep", interrupt_once_there(virtual, HandLink.sleep))
-    send_and_hold("here", ServoCommand(np.full(6, 0.5), 0.1), hand)
+    send_and_hold("here", [ServoCommand(np.full(6, 0.5), 0.1)], hand)
     assert not virtual.pulses().any()
     with pytest.raises(HandshakeError, match="limits"):
-        send_and_hold("here", ServoCommand(np.full(6, 0.5), 0.1), HPAC)
+        send_and_hold("here", [ServoCommand(np.full(6, 0.5), 0.1)], HPAC)
 
 
 def interrupt_once_there(virtual, sleep):
