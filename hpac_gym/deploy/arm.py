@@ -3,6 +3,7 @@
 A task's wrist stands, lifts and shakes by a table. On a hand a person, or another program, does it."""
 
 import json
+import os
 import sys
 from collections.abc import Callable
 from contextlib import suppress
@@ -51,10 +52,12 @@ class Person(Arm):
         print(
             "the object is seen; Enter: the hand stands there, close", file=sys.stderr, flush=True
         )
-        while not select.select([sys.stdin], [], [], 0)[0]:
-            wait(0.05)
-        if not sys.stdin.readline():
-            raise DeployError("nobody can press Enter: standard input is closed")
+        key = b""
+        while key != b"\n":
+            while not select.select([sys.stdin], [], [], 0)[0]:
+                wait(0.05)
+            if not (key := os.read(sys.stdin.fileno(), 1)):
+                raise DeployError("nobody can press Enter: standard input is closed")
 
     def tell(self, told: dict[str, Any]) -> None:
         """Print a phase that begins."""

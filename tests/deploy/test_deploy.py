@@ -354,6 +354,15 @@ def test_an_enter_that_was_typed_before_the_question_is_none(monkeypatch):
     os.close(keys)
 
 
+def test_a_line_without_its_end_is_no_enter(monkeypatch):
+    keys, enter = os.pipe()
+    monkeypatch.setattr("sys.stdin", os.fdopen(keys))
+    os.write(enter, b"x")
+    os.close(enter)
+    with pytest.raises(DeployError, match="standard input is closed"):
+        arm_of("enter").ready(time.sleep, {"phase": "ready"})
+
+
 def test_without_a_standard_input_nobody_is_waited_for(monkeypatch, capsys, tmp_path):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("sys.stdin", None)
