@@ -147,6 +147,7 @@ def run_episode(
             told["wrist"] = wrist(action, observer)
         arm.ready(link.sleep, told)
         stream.begin()
+        source.begin()
         begun = clock()
         closing = observer.phase()
         for step in range(observer.steps):

@@ -48,6 +48,9 @@ class Source:
         latest = self._latest
         return None if latest is None else (latest[0], monotonic() - latest[1])
 
+    def begin(self) -> None:
+        """Take note that the hand begins to close."""
+
     def close(self) -> None:
         """Let go what the source holds."""
 
@@ -83,8 +86,8 @@ class Fixed(Source):
 
 
 class Recorded(Source):
-    """Poses from a file with the columns `COLUMNS`, the last four optional, played from now on; the
-    last one ages.
+    """Poses from a file with the columns `COLUMNS`, the last four optional, played when it is first
+    asked, and again when the hand begins to close; the last one ages.
 
     Raises:
         PoseError: The file cannot be read, or a row is no pose or goes back in time.
@@ -114,9 +117,14 @@ class Recorded(Source):
         if not rows:
             raise PoseError(f"poses {path}: no rows")
         self._clock = clock
-        self._began = clock() - self._rows[0][0]
+        self._began: float | None = None
+
+    def begin(self) -> None:
+        self._began = None
 
     def latest(self) -> tuple[Pose, float]:
+        if self._began is None:
+            self._began = self._clock() - self._rows[0][0]
         now = self._clock() - self._began
         at, pose = next((row for row in reversed(self._rows) if row[0] <= now), self._rows[0])
         return pose, max(now - at, 0.0)

@@ -186,10 +186,13 @@ def test_sources_are_told_by_their_text(tmp_path):
     path.write_text("time_s,x_m,y_m,z_m\n0,0.05,0,0.1\n0.5,0.06,0,0.1\n")
     now = [10.0]
     recorded = Recorded(path, lambda: now[0])
-    assert recorded.latest()[0].position[0] == 0.05
-    now[0] = 10.7
-    pose, age = recorded.latest()
-    assert (pose.position[0], age) == (0.06, pytest.approx(0.2))
+    for begun in (12.0, 20.0):
+        now[0] = begun
+        assert recorded.latest()[0].position[0] == 0.05
+        now[0] += 0.7
+        pose, age = recorded.latest()
+        assert (pose.position[0], age) == (0.06, pytest.approx(0.2))
+        recorded.begin()
 
 
 @pytest.mark.parametrize(
@@ -643,14 +646,17 @@ def test_an_answer_of_the_arm_to_an_earlier_question_is_none(remote, udp):
     assert len(waited) == 4
 
 
-def test_the_hand_is_preshaped_before_the_arm_is_asked(hand, link):
+def test_the_hand_is_preshaped_before_the_arm_is_asked_and_a_recording_begins_then(hand, link):
     class Arriving(Arm):
         def ready(self, wait, told):
             shapes.append(servo_from_pulses(hand.pulses()))
+            source.begin = Mock()
 
     shapes = []
+    source = Fixed(PLACE)
     observer = Observer(GRASP_TYPE, CAN, grasp="rod")
-    episode(link, load_policy("scripted", observer), arm=Arriving(), observer=observer)
+    episode(link, load_policy("scripted", observer), source, Arriving(), observer=observer)
+    source.begin.assert_called_once_with()
     preshape = servo_from_synergy(GRASP_TYPES["rod"].start.preshape)
     np.testing.assert_allclose(shapes, [preshape], atol=1e-3)
 
