@@ -52,8 +52,8 @@ def run(options: argparse.Namespace) -> int:
         say(options.json, said, written=str(out), line_mm=RULER)
         return 0
     out = options.out or Path("camera.json")
+    writable_file(out)  # a device may be read without end
     before = load_lens(out) if out.exists() else Lens()
-    writable_file(out)
     with closing(Device(options.calibrate)) as frames:
         lens, error = calibrated(frames)
     lens = replace(lens, hand_board=before.hand_board, object_board=before.object_board)

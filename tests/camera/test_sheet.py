@@ -133,10 +133,19 @@ def test_a_file_that_is_no_camera_s_is_refused_before_the_camera_is_opened(
     assert path.read_text() == "the sheet"
 
 
-def test_a_calibration_that_cannot_be_written_ends_before_the_camera_is_opened(capsys, monkeypatch):
+@pytest.mark.parametrize(
+    ("path", "says"),
+    [
+        ("/proc/none/camera.json", "cannot write to folder"),
+        ("/dev/null", "cannot write '/dev/null': it is a device"),
+    ],
+)
+def test_a_calibration_that_cannot_be_written_ends_before_the_camera_is_opened(
+    path, says, capsys, monkeypatch
+):
     monkeypatch.delattr(commands, "Device")
-    words = ["tags", "--calibrate", "0", "--out", "/proc/none/camera.json"]
-    assert "cannot write to folder" in refused(capsys, lambda: hpac.main(words))
+    words = ["tags", "--calibrate", "0", "--out", path]
+    assert says in refused(capsys, lambda: hpac.main(words))
 
 
 @pytest.mark.parametrize(
