@@ -134,7 +134,8 @@ def _require_values(row: dict[str, Any]) -> None:
             raise DeployError(f"options {options!r} are not those of an environment")
     elif "step" in row:
         as_finite_vector([row["t"]], 1, "t")
-        as_finite_vector(row["action"], np.size(row["action"]), "action")
+        action = row["action"]
+        as_finite_vector(action, len(action) if isinstance(action, list) else 1, "action")
         for name, size in _SIZES.items():
             as_finite_vector(row[name], size, name)
         as_unit_vector(row["quaternion"], 4, "quaternion")

@@ -804,12 +804,13 @@ def test_a_log_that_was_cut_short_is_read(log, capsys):
         (f'{HEAD[:-1]}, "options": [1]}}', "line 1: options [1] are not those of an environment"),
         (f"{HEAD}\n{step(position=None)}", "line 2: position must have shape (..., 3), not ()"),
         (f"{HEAD}\n{step(action='abc')}", "line 2: action must be an array of numbers"),
+        (f"{HEAD}\n{step(action=[0.1, [1, 2]])}", "line 2: action must be an array of numbers"),
         (
             f"{HEAD}\n{step(quaternion=[0] * 4)}",
             "line 2: quaternion = [0.0, 0.0, 0.0, 0.0] of norm 0",
         ),
     ],
-    ids=range(14),
+    ids=range(15),
 )
 def test_what_is_no_log_is_one_line(path, capsys, text, says):
     path.write_text(text)
