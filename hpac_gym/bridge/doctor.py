@@ -166,4 +166,6 @@ def _judge(
             f"{what}; {bad} damaged frames",
             _NOISE,
         )
-    return Finding(name, True, f"{what}; round trip {1e3 * statistics.round_trip(50):.1f} ms")
+    late = "its answers come late or get lost"
+    trip = f"round trip {1e3 * statistics.round_trip(50):.1f} ms"
+    return Finding(name, True, f"{what}; {trip if statistics.round_trips else late}")

@@ -337,6 +337,8 @@ def test_doctor_tells_what_the_board_measures_the_trims_and_the_round_trip_in_mi
     plain = _judge("here", link.info, link.status(), statistics, HPAC).what
     assert "round trip 2.0 ms" in plain
     assert not any(word in plain for word in ("supply", "heat", "trims"))
+    late = _judge("here", link.info, link.status(), LinkStatistics(), HPAC).what
+    assert late.endswith("boot 1; its answers come late or get lost")
     status = dataclasses.replace(
         link.status(), supply=5.018, heat=np.array([0, 0, 0.34, 0.1, 0, 0])
     )
