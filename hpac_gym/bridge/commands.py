@@ -137,14 +137,15 @@ def verdict(rows: Iterable[Row], as_json: bool, *names: str) -> int:
 def _wiggle(options: argparse.Namespace) -> int:
     hand = load_hand(options.hand)
     rest = np.clip(0.0, hand.servo_min, hand.servo_max)
-    room = min(hand.servo_max - rest)
+    names = options.servo or SERVOS
+    room = min((hand.servo_max - rest)[np.isin(SERVOS, names)])
     if not 0 < options.angle <= room:
         raise WorkspaceError(
             f"--angle {options.angle} rad must be above 0 and at most {room:.3f} rad"
         )
     with _linked(options.port, hand) as link:
         link.arm()
-        for name in options.servo or SERVOS:
+        for name in names:
             index = SERVOS.index(name)
             number = f"servo {index + 1} of {len(SERVOS)}"
             say(options.json, f"{number}: {name} flexes and returns", servo=name, number=index + 1)

@@ -74,15 +74,18 @@ def test_wiggle_moves_each_servo_alone_next_to_its_name(capsys, monkeypatch):
     assert first_moves == sorted(first_moves)
 
 
-@pytest.mark.parametrize(("angle", "move"), [("0.3", 0.8), ("1.2", 1.2)])
-def test_wiggle_takes_its_time(angle, move, monkeypatch):
+@pytest.mark.parametrize(
+    ("servo", "angle", "move"),
+    [("index_mcp", "0.3", 0.8), ("index_mcp", "1.2", 1.2), ("thumb_cmc", "1.5", 1.5)],
+)
+def test_wiggle_takes_its_time(servo, angle, move, monkeypatch):
     hand = VirtualHand()
     monkeypatch.setattr("hpac_gym.bridge.commands.VirtualHand", lambda config: hand)
     with HandLink(hand.connect) as link:
         link.arm()
         link.clear()
     begun = hand.now_us
-    assert run("wiggle", "--port", "virtual", "--servo", "index_mcp", "--angle", angle) == 0
+    assert run("wiggle", "--port", "virtual", "--servo", servo, "--angle", angle) == 0
     # After the start from rest.
     assert (hand.now_us - begun) * 1e-6 == pytest.approx(0.4 + 2 * (move + 0.2), abs=0.15)
 
