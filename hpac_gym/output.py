@@ -1,11 +1,12 @@
 """Text files read with errors of one line, tables, atomic file writes, and files of lines."""
 
+import json
 import os
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 from hpac_gym.errors import HpacError
 
@@ -35,9 +36,7 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     target = _file(path)
     with writing(path):
         target.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(
-            prefix=f".{target.stem}-", suffix=target.suffix, dir=target.parent
-        )
+        handle, name = tempfile.mkstemp(**_beside(target))
     os.close(handle)
     temporary = Path(name)
     try:
@@ -137,9 +136,34 @@ def writable_file(path: Path) -> None:
     """Check that a file can be written, as `writable_folder` does for its folder.
 
     Raises:
-        OutputError: It is a folder or a device, or its folder cannot be created or written to.
+        OutputError: It is a folder or a device, its folder cannot be created or written to, or its
+            name is too long.
     """
-    writable_folder(_file(path).parent)
+    target = _file(path)
+    writable_folder(target.parent)
+    with writing(path), tempfile.NamedTemporaryFile(**_beside(target)):
+        pass
+
+
+def writable_results(path: Path, *names: str) -> None:
+    """Check that results in JSON with these names can be written to a file, and that it is new, empty
+    or has such results already.
+
+    Raises:
+        OutputError: As in `writable_file`, or the file has something else.
+    """
+    writable_file(path)
+    try:
+        held = json.loads(path.read_bytes() or "null") if path.exists() else None
+    except (OSError, ValueError, RecursionError):
+        held = ()
+    if held is not None and not (isinstance(held, dict) and held.keys() >= {*names}):
+        raise OutputError(f"'{path}' exists and has no results: name another file")
+
+
+def _beside(target: Path) -> dict[str, Any]:
+    """Where the temporary file is that becomes a file."""
+    return {"prefix": f".{target.stem}-", "suffix": target.suffix, "dir": target.parent}
 
 
 def _file(path: str | os.PathLike[str]) -> Path:

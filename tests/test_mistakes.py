@@ -154,8 +154,9 @@ MISTAKES = [
     (f"{TINY} --episodes 1 --out {{folder}}/policy", "policy': it is a folder"),
     (
         "hpac evaluate --policy {folder}/file --out {folder}/file",
-        "file', a policy to evaluate",
+        "file' exists and has no results: name another file",
     ),
+    (f"{TINY} --episodes 1 --out {{folder}}/taken/run.json", "run.json' exists and has no results"),
     (
         "hpac benchmark HPAC-Posture-v0 --policy random --out x",
         "'HPAC-Posture-v0' has no benchmark: known are HPAC-Grasp-v0",

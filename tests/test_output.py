@@ -5,7 +5,14 @@ import os
 
 import pytest
 
-from hpac_gym.output import OutputError, replacing, writable_file, writable_folder, write_text
+from hpac_gym.output import (
+    OutputError,
+    replacing,
+    writable_file,
+    writable_folder,
+    writable_results,
+    write_text,
+)
 
 FULL = r"cannot write '.*result\.txt': No space left on device"
 
@@ -52,6 +59,26 @@ def test_a_device_is_not_replaced_by_a_file(tmp_path):
         with pytest.raises(OutputError, match=r"cannot write '.*null': it is a device"):
             write(tmp_path / "null")
     assert (tmp_path / "null").is_fifo()
+
+
+def test_only_results_and_empty_files_are_replaced_by_results(tmp_path):
+    path = tmp_path / "results.json"
+    writable_results(path, "a")
+    for text in ("", '{"a": 1, "b": 2}'):
+        path.write_text(text)
+        writable_results(path, "a")
+    for text in ("[1]", '{"b": {"a": 1}}', "name = 1", "0", "[" * 100_000):
+        path.write_text(text)
+        with pytest.raises(OutputError, match=r"results\.json' exists and has no results: name"):
+            writable_results(path, "a")
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_name_that_is_too_long_is_told_before_a_long_run(tmp_path):
+    for letters in (250, 300):  # the temporary file has a longer name
+        with pytest.raises(OutputError, match=r"cannot write '.*xx': File name too long"):
+            writable_file(tmp_path / ("x" * letters))
+    assert not [*tmp_path.iterdir()]
 
 
 def test_a_folder_is_made_and_left_empty(tmp_path):

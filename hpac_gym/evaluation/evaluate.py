@@ -29,10 +29,9 @@ from hpac_gym.evaluation.options import add_policy_and_env, env_of
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import paired_difference, success_counts
 from hpac_gym.evaluation.workers import shared
-from hpac_gym.output import OutputError, markdown, writable_file, write_text
+from hpac_gym.output import markdown, writable_results, write_text
 from hpac_gym.policies.baselines import BASELINES
 from hpac_gym.policies.loading import NAMES, about, load_policy
-from hpac_gym.policies.policy_file import policy_path
 
 BLOCK = 10  # most episodes per job of a worker, with single worlds; in a batch as many as it has
 LEARNED = "learned"  # name of a policy file in JSON
@@ -275,9 +274,7 @@ def run(args: argparse.Namespace) -> int:
         )
     )
     if args.out:
-        writable_file(args.out)
-        if any(args.out.resolve() == policy_path(name).resolve() for name in files):
-            raise OutputError(f"--out is '{args.out}', a policy to evaluate")
+        writable_results(args.out, "env_id", "policies")
     made = next((name for name in args.policy if "env_id" in about(name)), args.policy[0])
     env_id, options = env_of(args, made)
     judged = evaluate(

@@ -6,6 +6,7 @@ outputs and provenance), ``README.md`` (the same in readable form, with the hub'
 
 import argparse
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -33,11 +34,9 @@ def export(
 
     Raises:
         PolicyError: `path` is not a policy file, `evaluation` is not an evaluation of this policy,
-            `film` is not an MP4 file, or the folder holds an exported policy.
+            `film` is not an MP4 file, or the folder holds a file of this name already.
         OutputError: The folder cannot be written.
     """
-    if (out / CARD).exists():
-        raise PolicyError(f"'{out}' holds an exported policy already: name another folder")
     policy = read_policy(path)
     judged = None if evaluation is None else _evaluation(evaluation, policy.about["sha256"])
     video = b"" if film is None else _film(film)
@@ -53,6 +52,8 @@ def export(
         CARD: f"{json.dumps(told, indent=2)}\n".encode(),
     }
     files |= {"README.md": text.encode()} | ({FILM: video} if video else {})
+    if taken := next((name for name in files if os.path.lexists(out / name)), None):
+        raise PolicyError(f"'{out / taken}' exists already: name another folder")
     for name, data in files.items():
         with replacing(out / name) as temporary:
             temporary.write_bytes(data)

@@ -122,8 +122,11 @@ def test_a_policy_that_needs_options_gives_them_when_it_is_exported_too(name, tm
         pytest.raises(PolicyError, match=r"; it needs (obs='load'|wrist='free')"),
     ):
         load_policy(str(tmp_path), env)
-    with pytest.raises(PolicyError, match="holds an exported policy already: name another"):
-        export(SHIPPED["grasp"], tmp_path)
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "README.md").touch()
+    for folder, file in (("mine", "README.md"), ("", "model.onnx")):
+        with pytest.raises(PolicyError, match=f"{file}' exists already: name another folder"):
+            export(SHIPPED["grasp"], tmp_path / folder)
     words = ["--policy", str(tmp_path), "--episodes", "1", "--workers", "1", "--no-baselines"]
     assert called(evaluate, *words) == 0
     page = (tmp_path / "README.md").read_text()
