@@ -161,14 +161,14 @@ def record(
         before = os.environ.get("MINARI_DATASETS_PATH")
         env = make_env(full_id(env_id), **(options or {}))
         try:
+            if ":" in env_id:  # or nobody finds the module again; wrappers keep what they once read
+                env.unwrapped.spec = replace(env.unwrapped.spec, id=env_id)
             actor = load_policy(policy, env, normalize)
             try:
                 env.unwrapped.spec.to_json()
             except ValueError as error:
                 raise DatasetError(f"a data set cannot name {env_id}: {error}") from None
             dataset = None
-            if ":" in env_id:  # or nobody finds the module again
-                env.unwrapped.spec = replace(env.unwrapped.spec, id=env_id)
             task = re.sub(r"-v\d+$", "", env_id.rpartition(":")[2].removeprefix("HPAC-")).lower()
             name = re.sub(r"[^-\w/]+", "-", f"hpac/{task}/{Path(policy).stem}") + "-v0"
             os.environ["MINARI_DATASETS_PATH"] = str(root)

@@ -91,7 +91,8 @@ def test_goals_are_recorded_and_cloned_too(tmp_path, monkeypatch):
 
 
 def still(env):
-    """A policy that keeps the hand half closed."""
+    """A policy that keeps the hand half closed, and asks for the id as a file does."""
+    assert env.spec
     return SimpleNamespace(predict=lambda seen, state, start: (np.zeros(6, np.float32), state))
 
 
@@ -123,7 +124,12 @@ def test_an_environment_that_no_text_names_is_not_recorded(tmp_path, unnumbered)
 def test_a_policy_is_recorded_in_its_own_environment_with_the_options_that_it_needs(tmp_path):
     assert main(["record", "--policy", "gentle", "-n", "1", "--out", f"{tmp_path}/new"]) == 0
     spec = read_dataset(tmp_path / "new").spec.env_spec
-    assert (spec.id, spec.kwargs["obs"]) == (GENTLE, "load")
+    assert (spec.id, spec.kwargs["obs"]) == (f"hpac_gym:{GENTLE}", "load")
+
+
+def test_the_module_of_an_environment_is_recorded_with_its_id(tmp_path, unnumbered):
+    dataset = record(f"{__name__}:still", f"tests.tiny_task:{unnumbered}", 1, tmp_path / "new")
+    assert dataset.spec.env_spec.id == "tests.tiny_task:Bare"
 
 
 def test_pictures_are_not_cloned(tmp_path):
