@@ -134,7 +134,13 @@ MISTAKES = [
     (f"{EVALUATE} --env nothing_here:Nothing-v3", "no environment 'nothing_here:Nothing-v3'"),
     (f"{EVALUATE} --env :", "no environment ':': an id is name-v0 or module:name-v0"),
     (f"{EVALUATE} --env a:b:c", "no environment 'a:b:c': an id is name-v0"),
-    (f"{EVALUATE} --set max_episode_steps=0", "with max_episode_steps: "),
+    *(
+        (
+            f"{EVALUATE} --episodes 1 --env HPAC-Posture-v1 --set max_episode_steps={steps}",
+            f"max_episode_steps = {steps} must be a whole number of at least 1",
+        )
+        for steps in (0, -1)
+    ),
     (f"{EVALUATE} --set physics=3", "--set physics: only a program in Python can give it"),
     ("hpac evaluate --policy tests.test_mistakes:idle", "(action, state), not (None, state)"),
     ("hpac show --set render_mode=human", "--set render_mode: hpac show has its own"),

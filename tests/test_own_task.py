@@ -167,6 +167,10 @@ class Goals(Grasp):
         (lambda: Twice("terms"), "the observation has two terms 'servo': each needs"),
         (lambda: Twice("reward_terms"), "the reward has two terms 'contact': each needs"),
         (Bonus, "Bonus has goals and 2 reward terms: one is possible"),
+        (
+            lambda: "HPAC-Grasp-v0",
+            "'HPAC-Grasp-v0' is no hpac_gym.tasks.task.Task: gymnasium.make takes an",
+        ),
         (Goals, "Goals has goal_terms but no measure and goal_reward: make it a subclass"),
     ],
 )

@@ -187,8 +187,9 @@ class Episodes:
         except PhysicsError as error:
             if not error.worlds:
                 raise
-            warnings.warn(f"{error}; it ends as a failure", PhysicsWarning, stacklevel=2)
             failed = [world for world in error.worlds if self.outcome[world] == RUNNING]
+            if failed:
+                warnings.warn(f"{error}; it ends as a failure", PhysicsWarning, stacklevel=2)
         state = self.simulation.state()
         self.task.watch(state, self.dt, self.simulation.engine.contacts)
         self.outcome = _judged(self.task.judge(state, self.dt), phase.shape)
@@ -300,7 +301,9 @@ def quality(episodes: Episodes, world: int) -> float:
 
 
 def _check(task: Task, options: Options) -> None:
-    """Refuse options that do not fit a task."""
+    """Refuse what is no task, and options that do not fit one."""
+    if not isinstance(task, Task):
+        raise ParameterError(f"{task!r} is no hpac_gym.tasks.task.Task: gymnasium.make takes an id")
     check_choice("obs", options.obs, task.observations)
     require_own_names("the reward", task.reward_terms)
     if task.goal_terms:

@@ -119,6 +119,8 @@ def _many(
     holds the GIL.
     """
     task, own, others = _given(row, options)
+    if others.get("max_episode_steps", ...) is None:  # as for one environment
+        others["max_episode_steps"] = row.max_episode_steps
     if others.get("engine") != "pybullet":
         return HandVectorEnv(task, num_envs, autoreset_mode, **others)
     check_number("num_envs", num_envs)

@@ -11,6 +11,7 @@ import numpy as np
 from gymnasium.spaces import Box
 from gymnasium.vector import VectorEnv
 
+from hpac_gym.envs.options import check_number
 from hpac_gym.errors import EnvError, HpacError
 from hpac_gym.evaluation.options import object_of
 from hpac_gym.registration import register_all
@@ -24,7 +25,10 @@ def make_env(env_id: str, **options: Any) -> gymnasium.Env[Any, Any]:
 
     Raises:
         EnvError: The id is unknown, an option is invalid, or the action is not a flat box of −1…1.
+        ParameterError: `max_episode_steps` is no whole number from 1 on.
     """
+    if (steps := options.get("max_episode_steps")) is not None:
+        check_number("max_episode_steps", steps)
     register_all()  # which a command leaves to those that make environments
     with _refusing(env_id, options):
         env = gymnasium.make(env_id, disable_env_checker=True, **with_object(options))

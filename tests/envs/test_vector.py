@@ -263,6 +263,7 @@ def test_a_failed_simulation_ends_its_episode_as_a_failure_and_the_others_go_on(
     assert np.isfinite(rewards).all()
     for got, wanted in zip((seen, rewards), expected, strict=False):
         np.testing.assert_array_equal(got[[0, 2]], wanted[[0, 2]])
+    fail(envs, 1)  # whose episode has ended
     with warnings.catch_warnings(action="error"):
         assert not envs.step(action)[2].any()
 
@@ -399,8 +400,9 @@ def test_make_vec_on_pybullet_makes_gymnasiums_processes_with_the_same_episodes(
         assert_same(made.step(action)[:4], its.step(action)[:4])
 
 
-def test_make_vec_makes_one_vector_environment_with_the_limit_of_the_id(opened):
-    with_limit = opened(ours(POSTURE, 2))
+@pytest.mark.parametrize("options", [{}, {"max_episode_steps": None}])
+def test_make_vec_makes_one_vector_environment_with_the_limit_of_the_id(options, opened):
+    with_limit = opened(ours(POSTURE, 2, **options))
     assert type(with_limit) is HandVectorEnv
     with_limit.reset(seed=0)
     for _ in range(40):
