@@ -22,6 +22,7 @@ from tqdm import tqdm
 
 from hpac_gym.command import Formatter, minutes, whole_number
 from hpac_gym.envs import HandEnv
+from hpac_gym.envs.options import check_number
 from hpac_gym.evaluation.blind import scale_of
 from hpac_gym.evaluation.environment import make_env
 from hpac_gym.evaluation.episodes import BATCH, Step, has_batch, run_episodes, worlds
@@ -130,7 +131,7 @@ def parts_of(env: gymnasium.Env[Any, Any], seeds: Sequence[int], workers: int) -
 
 
 def evaluate(
-    names: Sequence[str],
+    names: str | Sequence[str],
     env_id: str,
     episodes: int,
     *,
@@ -149,8 +150,12 @@ def evaluate(
 
     Raises:
         EnvError: The environment is unknown.
+        ParameterError: A number of episodes or workers below 1.
         PolicyError: A policy cannot be loaded, or was made for another environment.
     """
+    for name, number in (("episodes", episodes), ("workers", workers)):
+        check_number(name, number)
+    names = [names] if isinstance(names, str) else names
     options = dict(options or {})
     with make_env(env_id, **options) as env:
         for name in names:

@@ -11,6 +11,7 @@ import pytest
 
 from agents import reproduce
 from agents.curves import draw_trials
+from hpac_gym.errors import ParameterError
 from hpac_gym.evaluation import evaluate as command
 from hpac_gym.evaluation.environment import make_env
 from hpac_gym.evaluation.episodes import run_episodes, single
@@ -32,13 +33,19 @@ TINY = "tests.tiny_task:Tiny-v0"
 
 def test_episodes_do_not_depend_on_the_number_of_workers():
     alone = evaluate(["random"], TINY, 12, workers=1)
-    assert evaluate(["random"], TINY, 12, workers=2) == alone
+    assert evaluate("random", TINY, 12, workers=2) == alone
     assert (
         evaluate(["random"], TINY, 5, workers=1).episodes["random"] == alone.episodes["random"][:5]
     )
     assert [episode.seed for episode in alone.episodes["random"]] == list(
         range(HELD_OUT_SEED, HELD_OUT_SEED + 12)
     )
+
+
+@pytest.mark.parametrize("numbers", [{"episodes": 0}, {"episodes": 3, "workers": 0}])
+def test_numbers_below_1_are_refused(numbers):
+    with pytest.raises(ParameterError, match=r"(episodes|workers) = 0 must be a whole number of"):
+        evaluate(["random"], TINY, **numbers)
 
 
 REAL = pytest.param("HPAC-GraspAny-v1", {"objects": "real"}, marks=pytest.mark.slow)
