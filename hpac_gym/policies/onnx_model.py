@@ -148,4 +148,4 @@ def read_onnx(folder: Path, env: gymnasium.Env[Any, Any]) -> LearnedPolicy:
         decided: NDArray[np.float32] = session.run(None, {"observation": seen})[0][0]
         return decided
 
-    return LearnedPolicy(decide, repeat, closures, moves)
+    return LearnedPolicy(decide, repeat, closures, moves, sizes[0])

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hpac_gym.errors import PolicyError
+from hpac_gym.model.checks import as_finite_vector
 from hpac_gym.policies.closure import Closures
 from hpac_gym.policies.increments import Increments
 from hpac_gym.policies.policy_file import PolicyFile
@@ -95,7 +96,7 @@ class EpisodePolicy:
         """As in `Policy`; the state is a tuple with the memory of each environment."""
         named = isinstance(observation, Mapping)
         parts = list(observation.values()) if named else [observation]
-        single = min(map(np.ndim, parts)) == 1
+        single = min(map(np.ndim, parts)) < 2
         if single:
             rows = [observation]
         elif named:
@@ -125,6 +126,7 @@ class LearnedPolicy(EpisodePolicy):
             it sets actions.
         increments: if given, the actor decides in every step how to move the hand from where it is,
             on what `Increments.shown` gives.
+        size: n, if it is to be checked.
     """
 
     def __init__(
@@ -133,8 +135,10 @@ class LearnedPolicy(EpisodePolicy):
         action_repeat: int = 1,
         closures: Closures | None = None,
         increments: Increments | None = None,
+        size: int | None = None,
     ) -> None:
         self._actor = actor
+        self._size = size
         self._increments = increments
         self._action_repeat = action_repeat
         self._closures = closures
@@ -142,17 +146,23 @@ class LearnedPolicy(EpisodePolicy):
     @classmethod
     def of(cls, file: PolicyFile) -> LearnedPolicy:
         """The policy of a policy file."""
-        return cls(file.actor, file.action_repeat, file.closures, file.increments)
+        return cls(file.actor, file.action_repeat, file.closures, file.increments, file.sizes[0])
+
+    def _seen(self, observation: Observation) -> NDArray[Any]:
+        seen = vector(observation)
+        if self._size is not None:
+            as_finite_vector(seen, self._size, "observation")
+        return seen
 
     def _act(self, observation: Observation, memory: Memory) -> tuple[NDArray[Any], Memory]:
         if (moves := self._increments) is not None:
-            seen = vector(observation)[None]
+            seen = self._seen(observation)[None]
             recent = moves.begin(seen) if memory is None else moves.see(memory, seen)
             recent = moves.move(recent, self._actor(moves.shown(recent)[0])[None])
             return recent.action[0].astype(np.float32), recent
         step, decision = memory or (0, None)
         if decision is None or (self._closures is None and step % self._action_repeat == 0):
-            decision = self._actor(vector(observation))
+            decision = self._actor(self._seen(observation))
         action = decision
         if self._closures is not None:
             action = self._closures.actions(decision[None], [step])[0].astype(np.float32)

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from hpac_gym.envs.sb3 import HandVecEnv
-from hpac_gym.errors import PolicyError
-from hpac_gym.policies import LearnedPolicy
+from hpac_gym.errors import PolicyError, ShapeError
+from hpac_gym.policies import LearnedPolicy, read_policy
 from hpac_gym.policies.loading import about, load_policy
 from tests.policies.episodes import actions_of
 from tests.processes import python
@@ -93,6 +93,18 @@ def test_a_policy_is_evaluated_by_stable_baselines3_as_a_model_of_its_own():
     assert sum(successes) >= 8, (
         "it holds 90 % of episodes; with a state that is lost it never closes"
     )
+
+
+@pytest.mark.parametrize("name", ["grasp", "gentle"])
+def test_an_observation_of_another_size_or_without_a_number_is_told(name):
+    file = read_policy(name)
+    policy = LearnedPolicy.of(file)
+    size, _ = file.sizes
+    for shape in (size - 1, (2, size + 1), (1, 1, size), ()):
+        with pytest.raises(ShapeError, match=rf"observation must have shape \(.*{size},?\), not"):
+            policy.predict(np.zeros(shape))
+    with pytest.raises(ShapeError, match=r"observation\[0\] = nan must be a finite number"):
+        policy.predict(np.full(size, np.nan))
 
 
 def test_a_policy_file_acts_without_simulator_gymnasium_and_torch():
