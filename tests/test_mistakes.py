@@ -117,6 +117,11 @@ MISTAKES = [
     ("hpac evaluate", "--policy"),
     ("hpac evaluate --policy {folder}/none.hpac", "no policy file"),
     ("hpac evaluate --policy {folder}/file", "is not a policy file"),
+    ("hpac evaluate --policy {long}", "no policy file 'xxx"),
+    ("hpac evaluate --policy grasp --object {long}.stl", "no object file 'xxx"),
+    (f"{TINY} --episodes 1 --out {{long}}", "xxx': File name too long"),
+    (f"{BENCHMARK} random --out {{long}}", "xxx': File name too long"),
+    ("hpac record --out {long}", "xxx': File name too long"),
     ("hpac evaluate --policy /", "'/' is not an exported policy: card.json: No such file"),
     ("hpac evaluate --policy grasp --obs image", "deploy (44,), image (84, 84, 3)"),
     (
@@ -338,7 +343,7 @@ def test_a_mistake_ends_in_one_line_and_status_2(
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(sys.modules, "lerobot", None)  # as where it is not installed
     monkeypatch.setattr("hpac_gym.evaluation.dataset._episode", None)  # no recording
-    program, *words = shlex.split(line.format(folder=folder))
+    program, *words = shlex.split(line.format(folder=folder, long="x" * 300))
     monkeypatch.setattr(sys, "argv", [program, *words])
     assert complaint in refused(capsys, lambda: run(import_module(program).main))
     assert not [path for path in tmp_path.rglob("*") if path.is_file()]

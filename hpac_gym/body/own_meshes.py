@@ -61,7 +61,10 @@ def of_mesh(
     if path.suffix.lower() not in MESHES:
         raise ParameterError(f"'{path}' is not one of {', '.join(MESHES)}, nor a .urdf")
     kept = (path.parent if folder is None else Path(folder)) / f"{path.stem}.hulls.json"
-    made_from = {"sha256": hashlib.sha256(path.read_bytes()).hexdigest(), "coacd": settings}
+    try:
+        made_from = {"sha256": hashlib.sha256(path.read_bytes()).hexdigest(), "coacd": settings}
+    except OSError as error:
+        raise ParameterError(f"cannot read mesh '{path}': {error.strerror}") from None
     parts = _kept(kept, made_from)
     if parts is None:
         try:

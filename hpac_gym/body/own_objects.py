@@ -17,7 +17,7 @@ from hpac_gym.body.object_models import ObjectModel
 from hpac_gym.body.objects import GREY, ObjectSpec
 from hpac_gym.body.own_meshes import DETAILS, of_mesh
 from hpac_gym.body.solids import Solid, bounds_of
-from hpac_gym.errors import ParameterError
+from hpac_gym.errors import HpacError, ParameterError
 from hpac_gym.model.checks import Array
 from hpac_gym.settings import check_choice
 
@@ -65,7 +65,7 @@ def own_object(
         OutputError: The parts cannot be written.
     """
     path = Path(path)
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise ParameterError(f"no object file '{path}'")
     for name, value, most in (
         ("friction", friction, MAX_FRICTION),
@@ -156,10 +156,11 @@ def _of_urdf(path: Path, scale: float, read: Reader) -> tuple[list[Solid], float
         robot = Xml.parse(path).getroot()
         solids = _of_links(path, robot, read)
         mass = sum(float(entry.get("value")) for entry in robot.findall("link/inertial/mass"))
-    except ParameterError:
+    except HpacError:
         raise
-    except (Xml.ParseError, AttributeError, IndexError, TypeError, ValueError) as error:
-        raise ParameterError(f"'{path}' is not a URDF: {error}") from None
+    except (OSError, Xml.ParseError, AttributeError, IndexError, TypeError, ValueError) as error:
+        reason = getattr(error, "strerror", error)
+        raise ParameterError(f"'{path}' is not a URDF: {reason}") from None
     if not solids:
         raise ParameterError(f"'{path}' has no collision shape")
     return [solid.scaled(scale, scale**3) for solid in solids], mass or None
@@ -211,7 +212,7 @@ def _of_geometry(path: Path, form: Xml.Element, read: Reader) -> list[Solid]:
     if form.tag == "mesh":
         name = form.get("filename", "")
         mesh = path.parent / name.removeprefix("file://")
-        if not mesh.is_file():
+        if not os.path.isfile(mesh):
             raise ParameterError(f"no mesh file '{mesh}', which '{path}' names")
         return read(mesh, np.array(_numbers(form.get("scale", "1 1 1"))))
     if form.tag == "box":

@@ -10,6 +10,7 @@ the same environment which of them is better."""
 import argparse
 import hashlib
 import json
+import os
 import shlex
 import sys
 import warnings
@@ -111,7 +112,7 @@ def _seeded(name: str | None, seed: int) -> str | None:
 
 def _file(name: str, told: dict[str, Any]) -> dict[str, Any]:
     path = policy_path(name)
-    path = path / MODEL if path.is_dir() else path
+    path = path / MODEL if os.path.isdir(path) else path
     told = told.get("training", told)  # of an exported policy
     keys = ("algorithm", "env_steps", "seed", "normalize_sha256")
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
@@ -170,7 +171,7 @@ def judge_all(args: argparse.Namespace) -> Results:
     head = header(args)
     for fault in over_budget(head):
         print(f"no submission: {fault} (--budget names a larger one)", file=sys.stderr)
-    results = read(args.out) if args.out.exists() else head | {"cells": []}
+    results = read(args.out) if os.path.exists(args.out) else head | {"cells": []}
     if results.get("env_id") == head["env_id"] and from_before(results):
         results["env_sha256"] = head["env_sha256"]
     for name, value in head.items():

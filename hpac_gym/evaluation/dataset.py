@@ -24,7 +24,7 @@ from hpac_gym.errors import DatasetError
 from hpac_gym.evaluation.environment import make_env
 from hpac_gym.evaluation.episodes import run_episodes, single
 from hpac_gym.evaluation.options import add_policy_and_env, env_of
-from hpac_gym.output import OutputError, writable_folder
+from hpac_gym.output import OutputError, writable_folder, writing
 from hpac_gym.policies.loading import NAMES, load_policy
 from hpac_gym.progress import progress
 from hpac_gym.registration import GRASP, full_id
@@ -118,11 +118,12 @@ def _appearing(out: Path) -> Iterator[Path]:
         DatasetError: `out` exists already.
         OutputError: `out` cannot be written.
     """
-    if out.exists():
+    if os.path.exists(out):
         raise DatasetError(f"'{out}' exists already: name a new folder")
-    with TemporaryDirectory(
-        prefix=f".{out.name}-", dir=writable_folder(out.absolute().parent)
-    ) as root:
+    folder = writable_folder(out.absolute().parent)
+    with writing(out):
+        temporary = TemporaryDirectory(prefix=f".{out.name}-", dir=folder)
+    with temporary as root:
         yield Path(root)
         try:
             Path(root, "written").rename(out)

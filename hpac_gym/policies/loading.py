@@ -1,5 +1,6 @@
 """Loading of policies by name or from a file: wherever a policy goes, all of these go."""
 
+import os
 from importlib import import_module
 from inspect import signature
 from pathlib import Path
@@ -48,11 +49,11 @@ def load_policy(name: str, env: gymnasium.Env[Any, Any], normalize: str | None =
         baseline: Policy = BASELINES[name](env)
         return baseline
     path = policy_path(name)
-    if path.is_dir():
+    if os.path.isdir(path):
         return read_onnx(path, env)
     if _is_model(path):
         return read_model(path, env, normalize)
-    if path.exists():
+    if os.path.exists(path):
         file = read_policy(name)
         require_fit(f"policy file '{name}'", file.about, file.sizes, env)
         return LearnedPolicy.of(file)
@@ -99,11 +100,11 @@ def about(name: str, normalize: str | None = None) -> dict[str, Any]:
         PolicyError: The file is damaged.
     """
     path = policy_path(name)
-    if name in BASELINES or not path.exists():
+    if name in BASELINES or not os.path.exists(path):
         return {}
     if _is_model(path):
         return about_model(path, normalize)
-    return read_card(path) if path.is_dir() else read_policy(name).about
+    return read_card(path) if os.path.isdir(path) else read_policy(name).about
 
 
 def needed_options(name: str, env_id: str | None = None) -> dict[str, Any]:

@@ -7,6 +7,7 @@ trust."""
 
 import hashlib
 import json
+import os
 import zipfile
 from functools import lru_cache
 from inspect import signature
@@ -72,7 +73,7 @@ def statistics_of(path: Path, normalize: str | None = None) -> Path | None:
     if normalize == NONE:
         return None
     if normalize is not None:
-        if not Path(normalize).is_file():
+        if not os.path.isfile(normalize):
             raise PolicyError(f"no VecNormalize statistics '{normalize}'")
         return Path(normalize)
     prefix, _, steps = path.stem.removesuffix("_steps").rpartition("_")
@@ -83,7 +84,7 @@ def statistics_of(path: Path, normalize: str | None = None) -> Path | None:
         f"{path.stem}/vecnormalize.pkl",
         "vecnormalize.pkl",
     )
-    return next((file for name in names if (file := path.parent / name).is_file()), None)
+    return next((file for name in names if os.path.isfile(file := path.parent / name)), None)
 
 
 def about_model(path: Path, normalize: str | None = None) -> dict[str, Any]:
@@ -91,19 +92,26 @@ def about_model(path: Path, normalize: str | None = None) -> dict[str, Any]:
     training, SHA-256 of its file and of its statistics.
 
     Raises:
-        PolicyError: It is none.
+        PolicyError: It is none, or a file cannot be read.
     """
     data = _data(path)
     kind = data.get("policy_class")
-    told: dict[str, Any] = {"sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
+    told: dict[str, Any] = {"sha256": _digest(path)}
     if isinstance(kind, dict) and "__module__" in kind:
         told["algorithm"] = str(kind["__module__"])
     if isinstance(data.get("num_timesteps"), int):
         told["env_steps"] = data["num_timesteps"]
     if (statistics := statistics_of(path, normalize)) is not None:
         told["normalize"] = str(statistics)
-        told["normalize_sha256"] = hashlib.sha256(statistics.read_bytes()).hexdigest()
+        told["normalize_sha256"] = _digest(statistics)
     return told
+
+
+def _digest(path: Path) -> str:
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError as error:
+        raise PolicyError(f"cannot read '{path}': {error.strerror}") from None
 
 
 def _data(path: Path) -> dict[str, Any]:

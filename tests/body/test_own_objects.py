@@ -308,6 +308,13 @@ def test_a_bad_file_is_one_clear_line(name, text, message, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == [name]
 
 
+@pytest.mark.parametrize("name", ["thing.stl", "thing.urdf"])
+def test_a_file_that_cannot_be_read_is_one_clear_line(name, tmp_path):
+    (tmp_path / name).symlink_to("/proc/self/mem")
+    with pytest.raises(ParameterError, match=rf"{name}'.*: Input/output error$"):
+        own_object(tmp_path / name, mass=0.1)
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

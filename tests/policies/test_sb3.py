@@ -161,6 +161,7 @@ def test_statistics_are_found_beside_a_model(model, statistics, tmp_path):
     (tmp_path / statistics).touch()
     assert statistics_of(tmp_path / model) == tmp_path / statistics
     assert statistics_of(tmp_path / model, "none") is None
+    assert statistics_of(tmp_path.parent / f"{'x' * 250}.zip") is None
 
 
 def test_a_model_of_normalised_observations_without_its_statistics_is_refused(folder, tmp_path):
@@ -191,6 +192,13 @@ def rewrite(folder: Path, name: str, data: bytes) -> None:
     with zipfile.ZipFile(folder / "model.zip", "w") as archive:
         for other, kept in held.items():
             archive.writestr(other, data if other == name else kept)
+
+
+def test_statistics_that_cannot_be_read_are_told(folder):
+    (folder / "vecnormalize.pkl").unlink()
+    (folder / "vecnormalize.pkl").symlink_to("/proc/self/mem")
+    with pytest.raises(PolicyError, match=r"cannot read '.*pkl': Input/output error"):
+        about(f"{folder}/model.zip")
 
 
 @pytest.mark.parametrize("damage", DAMAGE)
