@@ -26,9 +26,10 @@ MAX_SIDE = 0.4
 """Smallest and largest side of the bounding box [m]: limited by contact softness and by the bounds
 of the critic's `true_object_size`; the camera's sizes end at 0.2 m.
 """
+MIN_MASS = 1e-4
 MAX_MASS = 5.0
 MAX_FRICTION = 2.0
-"""Largest mass [kg] and Coulomb coefficient."""
+"""Smallest (chosen) and largest mass [kg], and largest Coulomb coefficient."""
 MAX_SCALE = 1000.0
 
 Reader = Callable[[Path, Array], list[Solid]]
@@ -123,11 +124,12 @@ def _check_sides(owner: str, size: Array, hint: str = "") -> None:
 
 
 def _check_positive(owner: str, name: str, value: Any, most: float) -> None:
-    """Refuse a value that is not a positive number of at most `most`."""
-    if not (isinstance(value, Real) and 0 < value <= most):
-        unit = " kg" if name == "mass" else ""
+    """Refuse a value that is not a positive number of at most `most`, or a mass below `MIN_MASS`."""
+    least, unit = (MIN_MASS, " kg") if name == "mass" else (0, "")
+    if not (isinstance(value, Real) and 0 < value <= most and value >= least):
+        low = f"of at least {least:g}" if least else "greater than 0"
         raise ParameterError(
-            f"{name} {value!r}{unit} of {owner} must be a number greater than 0 and at most {most:g}{unit}"
+            f"{name} {value!r}{unit} of {owner} must be a number {low} and at most {most:g}{unit}"
         )
 
 
@@ -228,6 +230,7 @@ def _of_geometry(path: Path, form: Xml.Element, read: Reader) -> list[Solid]:
         raise ParameterError(
             f"a {form.tag} of '{path}' is {length:g} m long: it must be at least 0 m"
         )
+    kind = form.tag if length else form.tag.replace("capsule", "sphere")
     ball = 4 / 3 * math.pi * radius**3
     tube = math.pi * radius**2 * length
     wide = 2 * radius
@@ -235,8 +238,8 @@ def _of_geometry(path: Path, form: Xml.Element, read: Reader) -> list[Solid]:
         "sphere": (wide, ball),
         "cylinder": (length, tube),
         "capsule": (length + wide, ball + tube),
-    }[form.tag]
-    return [Solid(form.tag, volume, (wide, wide, whole), np.zeros(3), np.eye(3))]
+    }[kind]
+    return [Solid(kind, volume, (wide, wide, whole), np.zeros(3), np.eye(3))]
 
 
 def _numbers(text: str) -> tuple[float, ...]:

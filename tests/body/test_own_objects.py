@@ -329,7 +329,7 @@ def test_a_file_that_cannot_be_read_is_one_clear_line(name, tmp_path):
         ),
         (
             {"mass": -0.3},
-            r"mass -0.3 kg of '.*ell.stl' must be a number greater than 0 and at most 5 kg",
+            r"mass -0.3 kg of '.*ell.stl' must be a number of at least 0.0001 and at most 5 kg",
         ),
         ({"mass": float("nan")}, r"mass nan kg"),
         ({"mass": None}, r"'.*ell.stl' says no mass: give one in kg"),
@@ -337,7 +337,7 @@ def test_a_file_that_cannot_be_read_is_one_clear_line(name, tmp_path):
             {"friction": -1.0},
             r"friction -1.0 of '.*ell.stl' must be a number greater than 0 and at most 2",
         ),
-        ({"mass": "0.3"}, r"mass '0.3' kg of '.*ell.stl' must be a number greater than 0"),
+        ({"mass": "0.3"}, r"mass '0.3' kg of '.*ell.stl' must be a number of at least"),
         ({"scale": None}, r"scale None of '.*ell.stl' must be a number greater than 0"),
         ({"up": "w"}, r"up 'w' is not one of z, y"),
     ],
@@ -356,6 +356,12 @@ def test_the_mass_that_a_urdf_says_is_checked_as_one_that_is_given(mass, tmp_pat
     ):
         own_object(tmp_path / "box.urdf")
     assert own_object(tmp_path / "box.urdf", mass=0.2).mass == 0.2
+
+
+def test_a_capsule_without_a_length_is_a_sphere(tmp_path):
+    (tmp_path / "ball.urdf").write_text(urdf("<capsule radius='.03' length='0'/>"))
+    (solid,) = own_object(tmp_path / "ball.urdf").model.solids
+    assert (solid.kind, solid.size, solid.mass) == ("sphere", (0.06, 0.06, 0.06), 0.1)
 
 
 URDF = """<robot name="mallet">
@@ -542,7 +548,12 @@ def test_a_mesh_is_closed_though_its_texture_has_seams(tmp_path):
         (
             {"object": SPEC | {"mass": 1e6}},
             ParameterError,
-            r"mass 1000000.0 kg of a box must be a number greater than 0 and at most 5 kg",
+            r"mass 1000000.0 kg of a box must be a number of at least 0.0001 and at most 5 kg",
+        ),
+        (
+            {"id": "HPAC-GraspAny-v1", "object": replace(BOX, mass=1e-12)},
+            ParameterError,
+            r"mass 1e-12 kg of a box must be a number of at least 0.0001 and",
         ),
         (
             {"object": BOX, "grasp": "hook"},
