@@ -146,6 +146,10 @@ MISTAKES = [
         )
         for steps in (0, -1)
     ),
+    (
+        f"{EVALUATE} --env HPAC-GraspType-v0 --grasp rod --types disk",
+        "--grasp 'rod' and --types 'disk' were given: give either",
+    ),
     (f"{EVALUATE} --set physics=3", "--set physics: only a program in Python can give it"),
     ("hpac evaluate --policy tests.test_mistakes:idle", "(action, state), not (None, state)"),
     ("hpac show --set render_mode=human", "--set render_mode: hpac show has its own"),

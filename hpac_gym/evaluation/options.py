@@ -87,12 +87,16 @@ def env_options(args: argparse.Namespace, env_id: str) -> dict[str, Any]:
     them.
 
     Raises:
-        ParameterError: An ``--object`` or ``--set`` has another form.
+        ParameterError: An ``--object`` or ``--set`` has another form, or two options mean the same.
     """
     found: dict[str, Any] = {
         name: value for name in OPTIONS if (value := getattr(args, name, None)) is not None
     }
     if "grasp" in found and env_id.rpartition(":")[2] == GRASP_TYPE:
+        if "types" in found:
+            raise ParameterError(
+                f"--grasp {found['grasp']!r} and --types {found['types']!r} were given: give either"
+            )
         found["types"] = found.pop("grasp")
     if "object" in found and isinstance(given := object_of(found["object"]), dict):
         found["object"] = given
