@@ -20,7 +20,7 @@ from hpac_gym.model import (
     action_from_synergy,
     joints_from_synergy,
 )
-from hpac_gym.model.checks import Array
+from hpac_gym.model.checks import Array, as_array
 from hpac_gym.physics.engine import SceneSetup, SceneState
 from hpac_gym.settings import check_bounds, setting, settings_from
 from hpac_gym.tasks.cameras import CameraNoise, MarkerCamera
@@ -182,8 +182,14 @@ class Posture(Task):
     def goal_reward(self, achieved: Array, desired: Array, dense: bool) -> Array:
         """The dense or the sparse reward of postures against goals, shapes (..., 15) [rad], for
         hindsight replay.
+
+        Raises:
+            ShapeError: Another shape.
         """
-        error = goal_error(achieved, desired)
+        error = goal_error(
+            as_array(achieved, len(JOINTS), "achieved_goal"),
+            as_array(desired, len(JOINTS), "desired_goal"),
+        )
         return -error.mean(axis=-1) if dense else self._missed(error)
 
     def _missed(self, error: Array) -> Array:

@@ -9,6 +9,7 @@ import pytest
 
 from hpac_gym.envs import GoalEnv, Posture
 from hpac_gym.envs.randomization import PRESETS
+from hpac_gym.errors import ShapeError
 from hpac_gym.model import HPAC, JOINTS, joints_from_synergy, synergy_from_joints
 from hpac_gym.model.calibration import Calibration
 from hpac_gym.physics.simulation import ENGINES
@@ -116,6 +117,10 @@ def test_sparse_reward_is_zero_within_the_tolerance_of_every_joint(opened):
     np.testing.assert_array_equal(
         env.compute_reward(np.array([goal, near, far, goal + np.nan]), goal, {}), [0, 0, -1, -1]
     )
+    with pytest.raises(
+        ShapeError, match=r"achieved_goal must have shape \(\.\.\., 15\), not \(4, 14"
+    ):
+        env.compute_reward(np.zeros((4, 14)), np.ones((4, 14)), {})
 
 
 def test_the_achieved_goal_is_measured_by_a_camera(env):
