@@ -82,15 +82,17 @@ def of_mesh(
 
 
 def _kept(path: Path, made_from: dict[str, Any]) -> list | None:
-    """Parts cached in a file; None unless it was made from the same mesh with the same settings."""
+    """Parts cached in a file; None unless it was made from the same mesh with the same settings, and
+    holds parts.
+    """
     try:
         cache = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        same = all(cache[key] == value for key, value in made_from.items())
+        parts: list = cache["parts"]
+        hulls = [_hull(np.array(corners), np.array(faces)) for corners, faces in parts]
+    except (OSError, LookupError, TypeError, ValueError, RecursionError):
         return None
-    same = isinstance(cache, dict) and all(
-        cache.get(key) == value for key, value in made_from.items()
-    )
-    return cache.get("parts") if same else None
+    return parts if same and hulls and all(hull.mass > 0 for hull in hulls) else None
 
 
 def _decomposed(path: Path, settings: Mapping[str, Any]) -> list:

@@ -200,6 +200,16 @@ def test_a_folder_that_cannot_be_written_is_told_with_the_way_out_before_the_wor
         own_object(wedge, mass=0.1, scale=0.001, folder="/proc/none")
 
 
+@pytest.mark.parametrize("parts", [[], 3, [[[[0, 0]], [[0, 0, 0]]]], [[[[0, 0, 0]], [[9]]]]])
+def test_parts_that_are_none_are_made_anew(parts, wedge):
+    own_object(wedge, mass=0.1, scale=0.001)
+    file = wedge.with_name("ell.hulls.json")
+    made = file.read_text()
+    file.write_text(json.dumps(json.loads(made) | {"parts": parts}))
+    own_object(wedge, mass=0.1, scale=0.001)
+    assert file.read_text() == made
+
+
 @pytest.mark.parametrize("kept", ["of another mesh", "{ half a fi"])
 def test_parts_of_another_mesh_of_the_same_name_or_a_damaged_file_are_made_anew(
     kept, wedge, decomposed
