@@ -121,6 +121,7 @@ MISTAKES = [
     ("hpac evaluate --policy grasp --object {long}.stl", "no object file 'xxx"),
     (f"{TINY} --episodes 1 --out {{long}}", "xxx': File name too long"),
     (f"{BENCHMARK} random --out {{long}}", "xxx': File name too long"),
+    ("hpac tags --calibrate 0 --out {long}", "xxx': File name too long"),
     ("hpac record --out {long}", "xxx': File name too long"),
     ("hpac evaluate --policy /", "'/' is not an exported policy: card.json: No such file"),
     ("hpac evaluate --policy grasp --obs image", "deploy (44,), image (84, 84, 3)"),
