@@ -15,6 +15,7 @@ from gymnasium.vector import AsyncVectorEnv, AutoresetMode, VectorEnv
 from hpac_gym.envs.hand_env import GoalEnv, HandEnv
 from hpac_gym.envs.options import COMMON, check_names, check_number
 from hpac_gym.envs.vector_env import HandVectorEnv
+from hpac_gym.envs.vector_infos import check_arguments
 from hpac_gym.errors import ParameterError
 from hpac_gym.registration import Registered, add_row, row_of
 from hpac_gym.tasks.options import Option, options_of
@@ -124,6 +125,7 @@ def _many(
     if others.get("engine") != "pybullet":
         return HandVectorEnv(task, num_envs, autoreset_mode, **others)
     check_number("num_envs", num_envs)
+    check_arguments(autoreset_mode, others.get("max_episode_steps"))
     make = partial(_in_process, row, **own, **others)
     # A fork would copy locks held by threads of other libraries, and its child would wait for
     # them for ever.

@@ -21,6 +21,7 @@ from hpac_gym.envs.episodes import open_episodes
 from hpac_gym.errors import ParameterError, ShapeError, WorkspaceError
 from hpac_gym.model import elastic_joints_from_servo, servo_from_action, streamed_servo
 from hpac_gym.physics.engine import PhysicsWarning
+from hpac_gym.physics.simulation import ENGINES
 from hpac_gym.registration import GENTLE, GRASP, GRASP_ANY, GRASP_TYPE, IDS, PICK_PLACE, POSTURE
 from hpac_gym.tasks.grasp import GraspConfig
 from tests.envs.episodes import EASY, check_stopped
@@ -316,6 +317,12 @@ def test_a_wrong_option_is_named_at_once(make, options):
         match=r"nonsense|options grasp|(num_envs|max_episode_steps) = (0|2\.5|True|nan|'5') must be a whole number",
     ):
         make(**{"num_envs": 2} | options)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_no_batch_is_endless(engine):
+    with pytest.raises(ParameterError, match="max_episode_steps = -1 must be a whole number of at"):
+        ours(POSTURE, 2, engine=engine, max_episode_steps=-1)
 
 
 def test_a_batch_has_no_wire():
