@@ -25,7 +25,7 @@ from hpac_gym.command import command_parser, minutes, run, whole_number
 from hpac_gym.evaluation.evaluate import evaluate
 from hpac_gym.evaluation.options import DEFAULT_ENV, env_id_of
 from hpac_gym.evaluation.statistics import interquartile_mean, rate_text, stratified_bootstrap
-from hpac_gym.output import markdown, writable_file, write_text
+from hpac_gym.output import markdown, writable_file, writable_results, write_text
 from hpac_gym.physics.simulation import SET_UPS, is_installed
 from hpac_gym.policies import read_policy
 from hpac_gym.policies.loading import needed_options
@@ -185,8 +185,10 @@ def main(argv: list[str] | None = None) -> int:
         parser.error("elsewhere and seeds need at least one --policy, race takes none")
     if args.picture and args.table == "elsewhere":
         parser.error("--picture needs race or seeds")
-    for path in filter(None, (args.out, args.picture)):
-        writable_file(path)
+    if args.out:
+        writable_results(args.out, "successes")
+    if args.picture:
+        writable_file(args.picture)
 
     def judge(policy: str, env_id: str, options: dict[str, str]) -> dict[str, Any]:
         """Evaluate one policy; returns its entry in the summary."""

@@ -146,8 +146,8 @@ def writable_file(path: Path) -> None:
 
 
 def writable_results(path: Path, *names: str) -> None:
-    """Check that results in JSON with these names can be written to a file, and that it is new, empty
-    or has such results already.
+    """Check that results in JSON with these names, or a list of them, can be written to a file, and
+    that it is new, empty or has such results already.
 
     Raises:
         OutputError: As in `writable_file`, or the file has something else.
@@ -157,6 +157,7 @@ def writable_results(path: Path, *names: str) -> None:
         held = json.loads(path.read_bytes() or "null") if path.exists() else None
     except (OSError, ValueError, RecursionError):
         held = ()
+    held = held[0] if isinstance(held, list) and held else held
     if held is not None and not (isinstance(held, dict) and held.keys() >= {*names}):
         raise OutputError(f"'{path}' exists and has no results: name another file")
 

@@ -290,6 +290,10 @@ MISTAKES = [
         "agents.reproduce elsewhere --policy scripted --picture picture.png",
         "--picture needs race or seeds",
     ),
+    (
+        "agents.reproduce seeds --policy none.hpac --out {folder}/file",
+        "file' exists and has no results: name another file",
+    ),
     ("agents.curves {folder}", "nothing to show"),
     ("agents.curves {folder}/bent", "is not a learning curve"),
     ("agents.demo --minutes 0", "'0' is not a positive number of minutes"),

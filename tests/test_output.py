@@ -64,10 +64,10 @@ def test_a_device_is_not_replaced_by_a_file(tmp_path):
 def test_only_results_and_empty_files_are_replaced_by_results(tmp_path):
     path = tmp_path / "results.json"
     writable_results(path, "a")
-    for text in ("", '{"a": 1, "b": 2}'):
+    for text in ("", '{"a": 1, "b": 2}', '[{"a": 1}]'):
         path.write_text(text)
         writable_results(path, "a")
-    for text in ("[1]", '{"b": {"a": 1}}', "name = 1", "0", "[" * 100_000):
+    for text in ("[1]", "[]", '{"b": {"a": 1}}', "name = 1", "0", "[" * 100_000):
         path.write_text(text)
         with pytest.raises(OutputError, match=r"results\.json' exists and has no results: name"):
             writable_results(path, "a")
