@@ -187,8 +187,7 @@ class Episodes:
         except PhysicsError as error:
             if not error.worlds:
                 raise
-            failed = [world for world in error.worlds if self.outcome[world] == RUNNING]
-            if failed:
+            if failed := [world for world in error.worlds if self.outcome[world] == RUNNING]:
                 warnings.warn(f"{error}; it ends as a failure", PhysicsWarning, stacklevel=2)
         state = self.simulation.state()
         self.task.watch(state, self.dt, self.simulation.engine.contacts)
