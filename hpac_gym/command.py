@@ -130,6 +130,22 @@ def run(command: Callable[[], int], unheard: bool = False) -> int:
 
 
 @contextmanager
+def ended_as_by_ctrl_c() -> Iterator[None]:
+    """Let SIGTERM and SIGHUP end the block as Ctrl-C does, unless they are ignored, as `nohup` has
+    it.
+    """
+    numbers = {signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)}
+    main = threading.current_thread() is threading.main_thread()  # others cannot set handlers
+    heard = [number for number in numbers if main and signal.getsignal(number) != signal.SIG_IGN]
+    before = {number: signal.signal(number, signal.default_int_handler) for number in heard}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@contextmanager
 def stopped_later() -> Iterator[None]:
     """Let Ctrl-C and SIGTERM wait for the end of the block: an import of trimesh catches every
     exception, so that a program stopped in it would go on, and MuJoCo's makes an ImportError of it.

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hpac_gym.command import add_json, say, whole_number
+from hpac_gym.command import add_json, ended_as_by_ctrl_c, say, whole_number
 from hpac_gym.errors import DatasetError
 from hpac_gym.evaluation.environment import make_env
 from hpac_gym.evaluation.episodes import run_episodes, single
@@ -123,7 +123,7 @@ def _appearing(out: Path) -> Iterator[Path]:
     folder = writable_folder(out.absolute().parent)
     with writing(out):
         temporary = TemporaryDirectory(prefix=f".{out.name}-", dir=folder)
-    with temporary as root:
+    with temporary as root, ended_as_by_ctrl_c():
         yield Path(root)
         try:
             Path(root, "written").rename(out)

@@ -5,7 +5,6 @@ The real firmware runs in a process of its own behind a pseudo-terminal. Its pul
 body with an object; an arm does what `hpac deploy --arm` tells it; a camera sends poses."""
 
 import argparse
-import signal
 import sys
 import time
 from contextlib import ExitStack, closing, suppress
@@ -15,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from hpac_gym.bridge import HostBoard, pulses_from_servo
-from hpac_gym.command import add_json, say, seconds, whole_number
+from hpac_gym.command import add_json, ended_as_by_ctrl_c, say, seconds, whole_number
 from hpac_gym.errors import ParameterError
 from hpac_gym.physics.engine import SceneSetup
 from hpac_gym.registration import GRASP
@@ -81,10 +80,8 @@ def run(options: argparse.Namespace) -> int:
     if options.angles and (options.env != GRASP or options.grasp):
         raise ParameterError("--angles has no scene: it goes without --env and --grasp")
     faults = Faults(**{fault.name: getattr(options, fault.name) for fault in fields(Faults)})
-    for number in (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)):
-        if signal.getsignal(number) != signal.SIG_IGN:  # as `nohup` has it
-            signal.signal(number, signal.default_int_handler)
     with ExitStack() as stack:
+        stack.enter_context(ended_as_by_ctrl_c())
         env = stack.enter_context(scene_env(options))
         setup = scene(env.unwrapped, options.env, options.seed)
         if options.angles:

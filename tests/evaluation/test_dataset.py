@@ -2,6 +2,7 @@
 
 import os
 import re
+import signal
 from types import SimpleNamespace
 
 import gymnasium
@@ -18,6 +19,7 @@ from hpac_gym.policies import read_policy
 from hpac_gym.policies.loading import load_policy
 from hpac_gym.registration import GENTLE, POSTURE
 from hpac_gym.tasks.posture import ScriptedPosture
+from tests.processes import started, wait_for
 from tests.tiny_task import Tiny
 
 EPISODES = 12
@@ -28,6 +30,16 @@ def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("record") / "scripted"
     record("scripted", "HPAC-Grasp-v0", EPISODES, folder, options={"engine": "mujoco"})
     return folder
+
+
+def test_a_recording_that_is_ended_leaves_nothing(tmp_path):
+    words = ["--policy", "scripted", "--engine", "mujoco", "--episodes", "400"]
+    with started("-m", "hpac", "record", *words, "--out", f"{tmp_path / 'new'}") as running:
+        wait_for(lambda: list(tmp_path.glob(".new-*/*")))
+        running.send_signal(signal.SIGTERM)
+        _, complaints = running.communicate(timeout=20)
+    assert (running.returncode, complaints.splitlines()[-1]) == (130, "interrupted")
+    assert not list(tmp_path.iterdir())
 
 
 def test_the_recorded_environment_seeds_and_actions_give_the_recorded_episodes_again(folder):
