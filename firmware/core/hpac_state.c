@@ -148,7 +148,7 @@ static void watch_supply(hpac_hand_t *hand, uint32_t step_us)
     bool low = hand->supply_mv != 0u && hand->supply_mv < HPAC_SUPPLY_MIN_MV;
     uint32_t most_us = HPAC_SUPPLY_LOW_MS * US_PER_MS, left_us = most_us - hand->supply_low_us;
     hand->supply_low_us = low ? hand->supply_low_us + (step_us < left_us ? step_us : left_us) : 0u;
-    if (hand->state == HPAC_STATE_ARMED && hand->supply_low_us == most_us) {
+    if (hand->state == HPAC_STATE_ARMED && hand->supply_low_us >= most_us) {
         hpac_state_fault(hand, HPAC_FAULT_SUPPLY, HPAC_NO_SERVO);
     }
 }

@@ -35,6 +35,7 @@ def release(exchange: Exchange, greeted: bool, timeout: float) -> tuple[str, Bas
         received in the meantime (`KeyboardInterrupt`, `SystemExit`), or None.
     """
     known = exchange.known
+    told = known.in_fault
     interrupt = _relaxed(exchange, timeout) if greeted and known.may_have_power else None
     fault = known.fault
     until = exchange.transport.now() + LAST_WORDS_TIME
@@ -65,8 +66,13 @@ def release(exchange: Exchange, greeted: bool, timeout: float) -> tuple[str, Bas
         attempts = _ATTEMPTS if again else ()
     if not known.may_have_power:
         if exchange.sent["estop"] > sent_before["estop"] and fault != Fault.estop.name:
-            said = "CLEAR was not answered in time, ESTOP was sent: `hpac clear` leaves a fault"
-            tell(UserWarning(said))
+            tell(
+                UserWarning(
+                    "CLEAR was not answered in time, ESTOP was sent: `hpac clear` leaves it"
+                )
+            )
+        elif known.in_fault and not told:
+            tell(UserWarning(f"the hand is in fault ({known.fault}): `hpac clear` leaves it"))
         return "", interrupt
     counts = ((name.upper(), count - sent_before[name]) for name, count in exchange.sent.items())
     tried = ", ".join(f"{name} × {count}" for name, count in counts if count)
@@ -87,7 +93,7 @@ def _relaxed(exchange: Exchange, timeout: float) -> BaseException | None:
     late = Late("waiting until the hand has relaxed")
     try:
         if not known.in_fault:
-            exchange.request("hello", {"nonce": 0}, timeout=timeout, attempts=1)
+            exchange.request("hello", {"nonce": 0}, timeout=min(timeout, 0.1), attempts=1)
         while known.in_fault and exchange.transport.now() < until:
             exchange.request("status", timeout=timeout, attempts=10)
             if not (known.may_have_power and known.status and known.status.moving):

@@ -53,7 +53,7 @@ class Person(Arm):
             "the object is seen; Enter: the hand stands there, close", file=sys.stderr, flush=True
         )
         key = b""
-        while key != b"\n":
+        while key not in (b"\n", b"\r"):
             while not select.select([sys.stdin], [], [], 0)[0]:
                 wait(0.05)
             if not (key := os.read(sys.stdin.fileno(), 1)):

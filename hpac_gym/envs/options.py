@@ -224,8 +224,8 @@ def _checked_setup(given: Any, task: Task, hand: Hand) -> SceneSetup:
             raise ParameterError(
                 f"setup has the object's underside {height:.3f} m above its table at the {box.kind}: it must be above 0 m"
             )
-    # A first action places the wrist; the widest box that HPAC-Grasp-v0 draws has one point.
-    if not task.wrist_actions and points_in_object(setup) > 2:
+    # A first action places the wrist; HPAC-Grasp-v0 draws boxes with up to five points of the thumb.
+    if not task.wrist_actions and points_in_object(setup) > 6:
         raise ParameterError(
             f"setup has the hand inside its object, which is at {setup.position.tolist()} m in the hand's frame"
         )

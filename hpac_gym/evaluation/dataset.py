@@ -79,7 +79,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--out", type=Path, required=True, metavar="DIR", help="folder to create; must not exist"
     )
     add_json(parser)
-    parser.set_defaults(run=_record)
+    parser.set_defaults(run=ended_as_by_ctrl_c()(_record))
 
 
 def _record(args: argparse.Namespace) -> int:
@@ -123,7 +123,7 @@ def _appearing(out: Path) -> Iterator[Path]:
     folder = writable_folder(out.absolute().parent)
     with writing(out):
         temporary = TemporaryDirectory(prefix=f".{out.name}-", dir=folder)
-    with temporary as root, ended_as_by_ctrl_c():
+    with temporary as root:
         yield Path(root)
         try:
             Path(root, "written").rename(out)

@@ -121,7 +121,8 @@ def points_in_object(setup: SceneSetup, skin: float = 0.0) -> int:
     turn = setup.hand_rotation.T @ matrix_from_quaternion(setup.object_turn[0])
     bones = _bones(joints_from_synergy(setup.synergy, setup.hand))
     own = (bones - setup.position) @ turn
-    around = skin * _SKELETON.radius[0][:, None, None] * _AROUND
+    offsets = _AROUND if skin else _AROUND[:1]
+    around = skin * _SKELETON.radius[0][:, None, None] * offsets
     points = (own[:, :, None] + around).reshape(-1, 3)
     solids = setup.object.solid_model.solids
     return sum(int(inside(solid, points).sum()) for solid in solids)

@@ -134,6 +134,13 @@ def test_the_effort_counts_the_change_though_the_caller_writes_over_his_action(e
     assert info["reward_terms"]["effort"] == pytest.approx(-0.01 * 6 * 0.25)
 
 
+def test_a_drawn_setup_is_taken_back_though_a_box_touches_the_thumb(env):
+    env.reset(seed=22094)
+    (drawn,) = env.unwrapped.episodes.setups
+    assert points_in_object(drawn) > 0
+    env.reset(seed=0, options={"setup": drawn})
+
+
 def test_a_wide_object_of_ones_own_is_placed_where_the_hand_is_not():
     task = Grasp(object=ObjectSpec("sphere", (0.06, 0.06, 0.06), mass=0.1, friction=0.8))
     rng = np.random.default_rng(0)

@@ -307,6 +307,12 @@ static void a_low_supply_keeps_the_hand_from_arming_and_stops_it(void)
     hpac_hand_inputs(&bench.hand, false, 1);
     bench_run(&bench, HPAC_SUPPLY_LOW_MS);
     CHECK(bench.hand.fault == HPAC_FAULT_SUPPLY && bench_silent(&bench) && !hpac_hand_powered(&bench.hand));
+    bench_armed(&bench, HPAC_ACTION_HOLD);
+    hpac_hand_inputs(&bench.hand, false, 1);
+    bench_run(&bench, 5);
+    bench.hand.supply_low_us ^= 1u << 20; /* any single bit may flip */
+    bench_run(&bench, 1);
+    CHECK(bench.hand.fault == HPAC_FAULT_SUPPLY && bench_silent(&bench));
 }
 
 /* Each servo's own heat slows its own moves, and no other's. */
