@@ -121,7 +121,7 @@ def session_with_ctrl_c(at_line, again_after=None):
             signal.setitimer(signal.ITIMER_REAL, 0)
     except BaseException as error:
         over = True
-        came_out = error
+        came_out = error.with_traceback(None)  # whose frames would keep the link
     return hand, lines, came_out, came_again
 
 
