@@ -92,7 +92,7 @@ def _relaxed(exchange: Exchange, timeout: float) -> BaseException | None:
     until = exchange.transport.now() + RELAX_TIME
     late = Late("waiting until the hand has relaxed")
     try:
-        if not known.in_fault:
+        if not known.in_fault:  # pulses stay on while this waits
             exchange.request("hello", {"nonce": 0}, timeout=min(timeout, 0.1), attempts=1)
         while known.in_fault and exchange.transport.now() < until:
             exchange.request("status", timeout=timeout, attempts=10)

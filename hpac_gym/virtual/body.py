@@ -120,7 +120,7 @@ class Body:
         episodes = self._env.episodes
         episodes.reset([0], [np.random.default_rng(self._seed)], None if setup is None else [setup])
         self.setup: SceneSetup = episodes.setups[0]
-        self._table = self._env.task.wrist_path(self.setup, self._env.episodes.wrists.times)
+        self._table = self._env.task.wrist_path(self.setup, episodes.wrists.times)
         self.outcome = RUNNING
         self._path = Path()
         self._began_us: float | None = None
