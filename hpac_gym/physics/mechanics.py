@@ -13,7 +13,14 @@ from hpac_gym.body.urdf import solid_inertia
 from hpac_gym.model import DIGITS, HPAC, JOINT_INDEX, JOINTS, SERVOS, Hand, joints_from_synergy
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.settings import HandSettings
-from hpac_gym.physics.tendons import ROOTS, coupling_rows, drive_arms, spring_rows, viscosities
+from hpac_gym.physics.tendons import (
+    ROOTS,
+    coupling_rows,
+    drive_arms,
+    drive_stiffness,
+    spring_rows,
+    viscosities,
+)
 
 GUIDE_TILT = 0.35
 """Angle from a link's axis to its guide, towards the palm [rad]; only the guides' included angle
@@ -109,7 +116,7 @@ class Mechanics:
         (coupling, coupling_stiffness) = coupling_rows(hand)
         (spring, spring_stiffness) = spring_rows(hand)
         hub_mass = settings.hub_inertia / hand.servo_radius**2
-        stiffness = np.array([digit.drive_stiffness for digit in digits])
+        stiffness = np.array([drive_stiffness(digit) for digit in digits])
         inertia = inertia.copy()
         inertia[ROOTS, ROOTS] += hub_mass * drive_arms(hand) ** 2
         inertia[-1, -1] += settings.hub_inertia / hand.cmc_gain**2  # the last joint is the CMC

@@ -34,6 +34,10 @@ _CMC = SERVO_INDEX["thumb_cmc"]
 _CMC_JOINT = JOINT_INDEX["thumb_cmc"]
 ROOTS = [JOINT_INDEX[joint] for joint in SERVOS[:-1]]
 """Joints that the five drives pull."""
+RIGID = 5e5
+"""Largest stiffness of a drive that is simulated (chosen) [N/m]. Hand files of a sweep may have any
+above it for a tendon whose stretch is not seen; it would be too fast for the time step.
+"""
 
 
 def coupling_rows(hand: Hand) -> tuple[Array, Array]:
@@ -69,6 +73,11 @@ def drive_arms(hand: Hand) -> Array:
     return 0.5 * hand.guide_product * np.sin(included) / chord
 
 
+def drive_stiffness(digit: Digit) -> float:
+    """Stiffness of a digit's drive as it is simulated, at most `RIGID` [N/m]."""
+    return min(digit.drive_stiffness, RIGID)
+
+
 def viscosities(hand: Hand, inertia: Array, ratio: float) -> tuple[Array, Array]:
     """The damping law of both engines: an element of stiffness k that moves the mass m is damped by
     2 ζ √(k m).
@@ -87,7 +96,7 @@ def viscosities(hand: Hand, inertia: Array, ratio: float) -> tuple[Array, Array]
     coupling = np.einsum("ij,jk,ik->i", rows, compliance, rows)
     drive = drive_arms(hand) ** 2 * compliance[ROOTS, ROOTS]
     mobility = np.hstack([coupling, drive, compliance[_CMC_JOINT, _CMC_JOINT]])
-    drives = [digit.drive_stiffness for digit in hand.digits.values()]
+    drives = [drive_stiffness(digit) for digit in hand.digits.values()]
     stiffness = np.hstack([stiffness, drives, hand.cmc_stiffness])
     return 2 * ratio * np.sqrt(stiffness / mobility), mobility
 
@@ -133,7 +142,7 @@ class Drive:
             2 * digit.d1 * digit.d2,
             digit.servo_radius,
             digit.rest_chord + slack,
-            digit.drive_stiffness,
+            drive_stiffness(digit),
             strength * digit.tension_limit,
         )
 

@@ -21,6 +21,7 @@ from hpac_gym.model import (
     servo_from_synergy,
     synergy_from_servo,
 )
+from hpac_gym.model.variation import scaled_hand
 from hpac_gym.physics.engine import SceneSetup
 from hpac_gym.physics.mechanics import mass_matrix
 from hpac_gym.physics.mujoco.engine import MuJoCoEngine
@@ -173,6 +174,18 @@ def test_free_space_keeps_to_equations_12_and_13_of_the_hand_itself(engine, body
     assert speed < 0.05
     # Another hand's law would be seen.
     assert np.abs(HPAC.elastic_ratio - variant.hand.elastic_ratio).max() > 4e-3
+
+
+@pytest.mark.parametrize(("engine", "body"), [set_up.split("/") for set_up in SET_UPS])
+def test_a_drive_of_any_stiffness_moves_as_the_stiffest_that_is_simulated(engine, body):
+    """A hand file from a sweep may have a drive of 10⁹ N/m, whose stretch was not seen."""
+    rigid = scaled_hand(HPAC, {"drive_stiffness": 1e4})
+    world = WorldSettings()
+    make = partial(make_engine, engine)
+    manifold, command, speed = free_space(make, BODIES[body], world, 3, 0, rigid, HPAC_GEOMETRY)
+    assert manifold < 1e-3
+    assert command < 0.3
+    assert speed < 0.05
 
 
 @engines
