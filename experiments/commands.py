@@ -55,6 +55,7 @@ def papers_map(targets: Array, hand: Hand, direction: float) -> tuple[Array, Arr
 def settled_map(targets: Array, hand: Hand, direction: float) -> tuple[Array, Array]:
     """Inverse of the identified hand with drive stretch, zeros and friction."""
     servo = settled_servo_from_joints(clip_to_workspace(targets, hand), hand, direction)
+    servo = np.clip(servo, hand.servo_min, hand.servo_max)
     return servo, settled_joints_from_servo(servo, hand, direction)
 
 

@@ -95,10 +95,11 @@ class BoardTable:
         self._told_clipped = False
 
     def within(self, servo: Array) -> Array:
-        """Servo angles, shape (6,) [rad]; on a board that was flashed for the nominal hand, those
-        of another hand are clipped to its range, and the first that is clipped is told.
+        """Servo angles, shape (6,) [rad]; those of a calibrated hand, whose slack and zeros may
+        need more than a board allows, are clipped to its range, and the first that is clipped is
+        told.
         """
-        if self.built_for is self.hand:
+        if not self.hand.is_calibrated:
             return np.asarray(servo)
         clipped = np.clip(servo, self.built_for.servo_min, self.built_for.servo_max)
         beyond = np.abs(clipped - servo) > ANGLE_UNIT / 2
@@ -107,7 +108,7 @@ class BoardTable:
             worst = int(np.argmax(np.abs(clipped - servo)))
             warnings.warn(
                 f"servo {SERVOS[worst]}: {servo[worst]:.4f} rad is clipped to {clipped[worst]:.4f} rad, the bound of the "
-                f"board, which was flashed for '{self.built_for.name}' and not for '{self.hand.name}'",
+                f"board, which was flashed for '{self.built_for.name}'",
                 ClippedWarning,
                 stacklevel=4,
             )

@@ -96,7 +96,7 @@ def reach(target_joint_pos: ArrayLike, hand: Hand = HPAC) -> Reach:
     manifold by Eq. (15).
 
     A calibrated hand is commanded by `settled_servo_from_joints` instead, in flexion, as from the
-    open hand.
+    open hand, within the nominal board's range.
 
     Args:
         target_joint_pos: q_d, shape (15,) [rad].
@@ -106,11 +106,12 @@ def reach(target_joint_pos: ArrayLike, hand: Hand = HPAC) -> Reach:
         ShapeError: Wrong shape, NaN or infinity.
     """
     target = as_finite_vector(target_joint_pos, len(JOINTS), "target_joint_pos")
-    inverse, forward = (
-        (settled_servo_from_joints, settled_joints_from_servo)
-        if hand.is_calibrated
-        else (servo_from_joints, elastic_joints_from_servo)
-    )
-    servo = inverse(clip_to_workspace(target, hand), hand)
-    joint_pos = forward(servo, hand)
+    wanted = clip_to_workspace(target, hand)
+    if hand.is_calibrated:
+        servo = settled_servo_from_joints(wanted, hand)
+        servo = np.clip(servo, HPAC.servo_min, HPAC.servo_max)
+        joint_pos = settled_joints_from_servo(servo, hand)
+    else:
+        servo = servo_from_joints(wanted, hand)
+        joint_pos = elastic_joints_from_servo(servo, hand)
     return Reach(joint_pos, servo, float(np.linalg.norm(target - joint_pos)))

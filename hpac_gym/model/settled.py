@@ -166,7 +166,7 @@ def settled_servo_from_joints(
         direction: `FLEXION` or `EXTENSION`, in which the hand approaches the posture.
 
     Returns:
-        u, shape (..., 6) [rad], within `hand.servo_min` and `hand.servo_max`.
+        u, not clipped to the servos' range, shape (..., 6) [rad].
 
     Raises:
         ShapeError: Wrong shape.
@@ -182,8 +182,7 @@ def settled_servo_from_joints(
         synergy[..., column] = wanted @ statics.slope / (statics.slope @ statics.slope)
     synergy[..., _CMC] = joint_pos[..., JOINT_INDEX["thumb_cmc"]]
     synergy = np.clip(synergy, hand.synergy_min, hand.synergy_max)
-    servo = settled_servo_from_synergy(synergy, hand, direction)
-    return np.clip(servo, hand.servo_min, hand.servo_max)
+    return settled_servo_from_synergy(synergy, hand, direction)
 
 
 def settled_servo_from_synergy(

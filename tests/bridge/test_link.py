@@ -370,24 +370,28 @@ def calibrated_hand():
     )
 
 
-def test_a_calibrated_hand_is_commanded_within_the_nominal_table_and_says_what_is_clipped(
-    virtual_hand, calibrated_hand
+@pytest.mark.parametrize("own", [False, True], ids=["the nominal board", "its own board"])
+def test_a_calibrated_hand_is_commanded_within_its_boards_table_and_says_what_is_clipped(
+    calibrated_hand, own
 ):
     assert limits_hash(calibrated_hand) != limits_hash(HPAC)
-    assert calibrated_hand.servo_max[0] > HPAC.servo_max[0]
-    with HandLink(virtual_hand.connect, hand=calibrated_hand) as link:
+    flashed = calibrated_hand if own else HPAC
+    wanted = calibrated_hand.servo_max + 0.01 * own
+    board = VirtualHand(config=config_of(flashed))
+    with HandLink(board.connect, hand=calibrated_hand) as link:
         link.arm()
-        with pytest.warns(ClippedWarning, match=r"thumb_mp: 1\.\d+ rad is clipped to 1\.3566 rad"):
-            link.move(ServoCommand(calibrated_hand.servo_max, 2.0))
+        says = (
+            rf"{wanted[0]:.4f} rad is clipped to {flashed.servo_max[0]:.4f} rad, .*'{flashed.name}'"
+        )
+        with pytest.warns(ClippedWarning, match=f"thumb_mp: {says}"):
+            link.move(ServoCommand(wanted, 2.0))
         link.wait()
         with warnings.catch_warnings():
             warnings.simplefilter("error")  # told once
-            link.move(ServoCommand(calibrated_hand.servo_max, 2.0))
+            link.move(ServoCommand(wanted, 2.0))
         link.wait()
-        servo = servo_from_pulses(virtual_hand.pulses())
-    np.testing.assert_allclose(
-        servo, np.minimum(calibrated_hand.servo_max, HPAC.servo_max), atol=2e-4
-    )
+        servo = servo_from_pulses(board.pulses(), flashed)
+    np.testing.assert_allclose(servo, np.minimum(wanted, flashed.servo_max), atol=2e-4)
 
 
 @pytest.mark.parametrize("calibrated", [False, True])

@@ -2,6 +2,7 @@
 them.
 """
 
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -17,7 +18,9 @@ from hpac_gym.model import (
     joints_from_synergy,
     posture,
     reach,
+    scaled_hand,
 )
+from hpac_gym.model.calibration import Calibration, Friction
 from hpac_gym.model.postures import PostureError
 
 
@@ -97,6 +100,17 @@ def test_a_posture_on_the_manifold_is_at_no_distance_and_one_off_it_is_not():
     off = on.copy()
     off[JOINT_INDEX["index_dip"]] += 0.1
     assert 0.05 < reach(off).distance < 0.1
+
+
+def test_a_calibrated_hand_is_wound_up_as_far_as_the_nominal_board_allows():
+    """Zeros may need more than the file's own range, which knows of none."""
+    behind = replace(HPAC, calibration=Calibration((-0.05,) * 6, (Friction(0.0, 0.0),) * 5))
+    narrow = scaled_hand(behind, {"servo_radius": 1.1})
+    for hand in (behind, narrow):
+        servo = reach(joints_from_synergy(HPAC.synergy_max), hand).servo
+        assert (servo <= HPAC.servo_max).all()
+        assert (servo[:5] > hand.servo_max[:5] - 1e-9).all()
+    assert (servo[:5] > hand.servo_max[:5] + 0.01).all()
 
 
 def test_an_unknown_posture_is_told_with_near_names():
