@@ -3,7 +3,7 @@
 
 ``elsewhere`` evaluates policies on every engine and body with every randomization. ``seeds``
 evaluates runs on MuJoCo's *twin*, and ends with the median, the lowest and the interquartile mean,
-with its stratified-bootstrap interval, of each learner and number of trials with several runs.
+with its bootstrap interval, of each learner and number of trials with several runs.
 ``race`` does the same for the algorithms of `agents.race` and the recipe *grasp*: it reads their
 policies from the folders ``LEARNER-SEED`` of ``--runs`` and trains missing ones. All cells have the
 same held-out episodes and Wilson 95 % intervals; rows are printed when complete."""
@@ -24,7 +24,7 @@ from agents.runs import RUN
 from hpac_gym.command import command_parser, minutes, run, whole_number
 from hpac_gym.evaluation.evaluate import evaluate
 from hpac_gym.evaluation.options import DEFAULT_ENV, env_id_of
-from hpac_gym.evaluation.statistics import interquartile_mean, rate_text, stratified_bootstrap
+from hpac_gym.evaluation.statistics import bootstrap_interval, interquartile_mean, rate_text
 from hpac_gym.output import markdown, writable_file, writable_results, write_text
 from hpac_gym.physics.simulation import SET_UPS, is_installed
 from hpac_gym.policies import read_policy
@@ -98,11 +98,11 @@ def over_runs(cells: Sequence[dict[str, Any]]) -> str:
 
 
 def middle(rates: np.ndarray) -> str:
-    """Interquartile mean of rates, shape (runs,), with its stratified-bootstrap interval, in
+    """Interquartile mean of rates, shape (runs,), with its bootstrap interval, in
     percent.
     """
     table = rates[:, None]
-    low, high = stratified_bootstrap(interquartile_mean, table)
+    low, high = bootstrap_interval(interquartile_mean, table)
     return f"{100 * float(interquartile_mean(table)):.1f} [{100 * low:.1f}, {100 * high:.1f}]"
 
 

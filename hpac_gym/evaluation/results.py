@@ -28,9 +28,9 @@ from hpac_gym.evaluation.splits import (
     splits_of,
 )
 from hpac_gym.evaluation.statistics import (
+    bootstrap_interval,
     interquartile_mean,
     probability_of_improvement,
-    stratified_bootstrap,
     wilson_interval,
 )
 from hpac_gym.output import markdown
@@ -61,7 +61,7 @@ def summary(results: Results) -> list[Results]:
     names = [*judged_splits(results), "all splits"]
     tables = [*np.split(scores, scores.shape[1], axis=1), scores]
     iqm = interquartile_mean
-    interval = partial(stratified_bootstrap, interquartile_mean)
+    interval = partial(bootstrap_interval, interquartile_mean)
     return [
         {"split": name, "iqm": float(iqm(table)), "interval_95": list(interval(table))}
         for name, table in zip(names, tables, strict=True)
@@ -228,6 +228,6 @@ def comparison(first: Results, second: Results) -> str:
         f"Probability that `{first['policy']}` does better than `{second['policy']}`: {value:.2f}"
     )
     if first["budget"] or second["budget"]:
-        low, high = stratified_bootstrap(probability_of_improvement, *tables)
+        low, high = bootstrap_interval(probability_of_improvement, *tables)
         told += f" [{low:.2f}, {high:.2f}]"
     return told

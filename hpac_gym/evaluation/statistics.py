@@ -144,14 +144,14 @@ def probability_of_improvement(first: ArrayLike, second: ArrayLike) -> NDArray[n
     return (np.sign(gap) + 1).mean(axis=(-3, -2, -1)) / 2
 
 
-def stratified_bootstrap(
+def bootstrap_interval(
     statistic: Callable[..., NDArray[np.float64]],
     *scores: ArrayLike,
     draws: int = 10_000,
     seed: int = 0,
 ) -> tuple[float, float]:
-    """95 % percentile interval of a statistic; the runs of each task are resampled with
-    replacement.
+    """95 % percentile interval of a statistic; whole runs are resampled with replacement, since one
+    policy is judged on all tasks.
 
     Args:
         statistic: function of score arrays with a leading axis of draws.
@@ -160,10 +160,7 @@ def stratified_bootstrap(
         seed: seed of the resampling, so that the same scores give the same interval.
     """
     rng = np.random.default_rng(seed)
-    tables = [np.asarray(table, float)[None] for table in scores]
-    drawn = [
-        np.take_along_axis(t, rng.integers(t.shape[1], size=(draws, *t.shape[1:])), axis=1)
-        for t in tables
-    ]
+    tables = [np.asarray(table, float) for table in scores]
+    drawn = [table[rng.integers(len(table), size=(draws, len(table)))] for table in tables]
     low, high = np.percentile(statistic(*drawn), (2.5, 97.5))
     return float(low), float(high)

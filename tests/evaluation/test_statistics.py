@@ -3,10 +3,10 @@ import pytest
 from hypothesis import given, strategies as st
 
 from hpac_gym.evaluation.statistics import (
+    bootstrap_interval,
     interquartile_mean,
     paired_difference,
     probability_of_improvement,
-    stratified_bootstrap,
     wilson_interval,
 )
 
@@ -91,9 +91,9 @@ def test_both_are_what_rliable_gives():
     assert probability_of_improvement(first, second) == pytest.approx(0.65)
 
 
-def test_the_bootstrap_draws_the_runs_of_each_task_apart():
-    """Of two runs 0 and 1 the mean is drawn as 0, 1/2, 1 with 1/4, 1/2, 1/4; runs drawn together
-    would never mix the tasks.
+def test_the_bootstrap_draws_whole_runs():
+    """A run is one policy that is judged on all splits, so that its scores go together; `rliable`
+    draws the runs of each task apart, since they are trained apart.
     """
     means: list[float] = []
 
@@ -101,12 +101,12 @@ def test_the_bootstrap_draws_the_runs_of_each_task_apart():
         means.extend(found := scores.mean(axis=(-2, -1)))
         return np.array(found)
 
-    scores = [[0.0, 1.0], [1.0, 0.0]]
-    assert stratified_bootstrap(mean, scores) == (0.0, 1.0)
-    shares = [np.isclose(means, value).mean() for value in (0.0, 0.25, 0.5, 0.75, 1.0)]
-    assert shares == pytest.approx([1 / 16, 4 / 16, 6 / 16, 4 / 16, 1 / 16], abs=0.02)
-    assert stratified_bootstrap(mean, scores) == stratified_bootstrap(mean, scores)
-    assert stratified_bootstrap(mean, [[0.3, 0.5], [0.3, 0.5]]) == pytest.approx((0.4, 0.4))
+    scores = [[0.2, 0.0], [1.0, 0.8]]
+    assert bootstrap_interval(mean, scores) == pytest.approx((0.1, 0.9))
+    shares = [np.isclose(means, value).mean() for value in (0.1, 0.5, 0.9)]
+    assert shares == pytest.approx([1 / 4, 1 / 2, 1 / 4], abs=0.02)
+    assert bootstrap_interval(mean, scores) == bootstrap_interval(mean, scores)
+    assert bootstrap_interval(mean, [[0.0, 1.0], [1.0, 0.0]]) == (0.5, 0.5)
 
 
 def test_the_bootstrap_covers_the_mean_of_normal_runs_as_often_as_it_can():
@@ -114,7 +114,7 @@ def test_the_bootstrap_covers_the_mean_of_normal_runs_as_often_as_it_can():
     rng = np.random.default_rng(3)
     covered = 0
     for _ in range(200):
-        low, high = stratified_bootstrap(
+        low, high = bootstrap_interval(
             lambda s: s.mean(axis=(-2, -1)), rng.normal(size=(30, 1)), draws=400
         )
         covered += low <= 0.0 <= high
