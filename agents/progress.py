@@ -95,8 +95,10 @@ class Progress:
 
     @property
     def share(self) -> float:
-        """Completed share of the training, 0…1, by trials, steps or time limit."""
-        spent = self.seconds / (self._seconds_before + self._time_limit)
+        """Completed share of the training, 0…1, by trials or steps, or in a new run by time limit:
+        that of a resumed one would end its exploration at once.
+        """
+        spent = 0.0 if self._first else self.seconds / self._time_limit
         return min(1.0, max(self.done / self._most, self.env_steps / self._most_steps, spent))
 
     @property

@@ -180,7 +180,7 @@ def parsed(argv: list[str] | None = None) -> Namespace:
         type=minutes,
         default=float("inf"),
         metavar="MINUTES",
-        help="end cleanly after this time",
+        help="end cleanly after this time; a new run explores less towards it, a resumed one by its trials and steps alone",
     )
     parser.add_argument(
         "--resume",

@@ -34,6 +34,21 @@ def test_the_last_row_counts_no_trial_for_which_the_run_has_no_room(tmp_path):
     assert (columns["episodes"], columns["success_rate"], columns["window"]) == (600, 1.0, 600)
 
 
+@pytest.mark.parametrize(("done", "share"), [(0, 0.5), (150, 0.25)])
+def test_a_time_limit_does_not_end_the_exploration_of_a_resumed_run(done, share, tmp_path):
+    progress = Progress(
+        tmp_path,
+        600,
+        10**9,
+        done,
+        seconds_before=done,
+        time_limit=60.0,
+        clock=iter((0.0, 30.0)).__next__,
+    )
+    assert progress.share == share
+    progress.close()
+
+
 @pytest.mark.parametrize("half", ["", "episodes,sec", "episodes,seconds,success_rate,window,en"])
 def test_a_curve_whose_head_a_full_disk_cut_begins_anew_when_it_is_resumed(half, tmp_path):
     (tmp_path / "progress.csv").write_text(half)
