@@ -180,7 +180,9 @@ def closure_outcomes(closures: Array, episodes: int, seed: int) -> tuple[Array, 
 
 
 def summary(found: dict[str, Array]) -> dict[str, Any]:
-    """Successes of episodes by their crush limit, with Wilson intervals."""
+    """Successes of episodes by their crush limit, with Wilson intervals, and the share crushed where it
+    is known.
+    """
     limit = found["limit"]
     groups = {
         "all": limit > 0,
@@ -193,7 +195,8 @@ def summary(found: dict[str, Array]) -> dict[str, Any]:
         for name, chosen in groups.items()
         if chosen.any()
     }
-    return rows | {"crushed": float(found["crushed"].mean())}
+    crushed = found.get("crushed")
+    return rows if crushed is None else rows | {"crushed": float(crushed.mean())}
 
 
 def rows(episodes: int, body: str, told: bool) -> dict[str, Any]:
@@ -225,14 +228,9 @@ def closures(count: int, episodes: int) -> dict[str, Any]:
     success, limit = closure_outcomes(decisions, episodes, HELD_OUT_SEED)
     half = episodes // 2
     best = success[:half].mean(axis=0).argmax()
-    no = np.zeros(episodes, bool)
     return {
-        "fixed closure": summary(
-            {"limit": limit[half:], "success": success[half:, best], "crushed": no[half:]}
-        ),
-        f"best of {count} closures": summary(
-            {"limit": limit, "success": success.any(axis=1), "crushed": no}
-        ),
+        "fixed closure": summary({"limit": limit[half:], "success": success[half:, best]}),
+        f"best of {count} closures": summary({"limit": limit, "success": success.any(axis=1)}),
     }
 
 

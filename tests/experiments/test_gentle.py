@@ -61,6 +61,15 @@ def test_the_teacher_holds_more_than_a_hand_that_stays_open():
     assert cells["all"]["successes"] == taught["success"].sum()
     groups = ("2.5 to 3 N", "3 to 4 N", "4 to 5 N")
     assert sum(cells[group]["episodes"] for group in groups) == 32
+    assert cells["crushed"] == taught["crushed"].mean()
+
+
+def test_the_share_that_closures_crush_is_not_told_since_it_is_not_measured(monkeypatch):
+    outcomes = (np.ones((8, 2), bool), np.linspace(2.5, 5, 8))
+    monkeypatch.setattr(experiment, "closure_outcomes", lambda *_: outcomes)
+    for cells in experiment.closures(2, 8).values():
+        assert cells["all"]["success_rate"] == 1.0
+        assert "crushed" not in cells
 
 
 def test_rows_count_the_episodes_that_are_asked_for(monkeypatch):
