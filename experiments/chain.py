@@ -57,7 +57,6 @@ WORKSHOP_ZERO = np.radians(0.5)
 """Standard deviation of a servo's zero after setting it by eye (chosen) [rad]."""
 SLACK = 1e-3
 """Most slack of a driving tendon, drawn uniformly (chosen) [m]."""
-OUT = Path("docs/results/experiments/chain.json")
 COLOURS = ("#999999", "#e69f00", "#0072b2", "#56b4e9")
 """Of the models: told apart by colour-blind people too."""
 
@@ -215,7 +214,7 @@ def main(argv: list[str] | None = None) -> int:
     """Calibrate the hands, run the grasps, print a table an engine, write the cells; or draw them."""
     parser = command_parser("experiments.chain", __doc__)
     parser.add_argument("--hands", type=whole_number(1), default=42, help="hands of each kind")
-    add_workers_and_out(parser, OUT)
+    add_workers_and_out(parser)
     parser.add_argument("--draw", type=Path, metavar="PNG", help="only draw the cells of --out")
     arguments = parser.parse_args(argv)
     if arguments.draw:

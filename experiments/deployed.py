@@ -11,7 +11,6 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from operator import eq
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -50,7 +49,6 @@ LINKS: dict[str, Faults] = {
 }
 """What is wrong with the link."""
 NOISE = CameraNoise(size=0.0)
-OUT = Path("docs/results/experiments/deployed.json")
 
 
 class Eye(Source):
@@ -186,7 +184,7 @@ def main(argv: list[str] | None = None) -> int:
     )
     parser.add_argument("--policy", default="grasp")
     parser.add_argument("--episodes", type=whole_number(1), default=1000, help="for each link")
-    add_workers_and_out(parser, OUT)
+    add_workers_and_out(parser)
     arguments = parser.parse_args(argv)
     if arguments.real_time:
         print(json.dumps(in_real_time(arguments.real_time)))

@@ -30,7 +30,6 @@ from hpac_gym.output import markdown, write_text
 from hpac_gym.progress import progress
 from hpac_gym.registration import GRASP
 
-OUT = Path("docs/results/experiments/forecast.json")
 FILES = Path("runs/forecast")
 FIRST_HAND = 1_000
 """The seeds of the hidden hands; `experiments.chain` uses those from 0 on, and the grasps below were
@@ -148,7 +147,7 @@ def main(argv: list[str] | None = None) -> int:
     """Continue the file row by row, and print the table of the rows that it has."""
     parser = command_parser("experiments.forecast", __doc__)
     parser.add_argument("--hands", type=whole_number(1), default=40, help="hidden hands")
-    add_out(parser, OUT)
+    add_out(parser)
     arguments = parser.parse_args(argv)
     text: dict[str, Any] = {"without_a_sweep": {}, "rows": []}
     if arguments.out.exists():

@@ -6,7 +6,6 @@ which is what the firmware's pulses do (`tests/experiments/test_gap.py`)."""
 
 import sys
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,7 +25,6 @@ from hpac_gym.policies import Policy
 from hpac_gym.policies.loading import load_policy
 from hpac_gym.tasks.terms import LENGTH_UNIT
 
-OUT = Path("docs/results/experiments/gap.json")
 BATCH = 30
 """Episodes of a batch, which share a hand."""
 NOMINAL = "nominal hand"
@@ -152,7 +150,7 @@ def main(argv: list[str] | None = None) -> int:
     parser = command_parser("experiments.gap", __doc__)
     parser.add_argument("--policy", default="grasp")
     parser.add_argument("--episodes", type=whole_number(BATCH), default=240, help="for each row")
-    add_workers_and_out(parser, OUT)
+    add_workers_and_out(parser)
     arguments = parser.parse_args(argv)
     blocks = arguments.episodes // BATCH
     jobs = [

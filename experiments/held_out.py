@@ -1,5 +1,5 @@
 """Files that `hpac calibrate` makes of the held-out hands' own simulated sweeps: ``python -m
-experiments.held_out``.
+experiments.held_out --out hpac_gym/body/data/calibrated``.
 
 A hand whose record is refused, the one with a dead finger, has no file."""
 
@@ -26,13 +26,13 @@ from hpac_gym.output import write_text
 from hpac_gym.physics.stand import HAND
 from hpac_gym.progress import progress
 
-OUT = Path("hpac_gym/body/data/calibrated")
-
 
 def main(argv: list[str] | None = None) -> int:
     """Sweep and calibrate every held-out hand, and print the error of its file."""
     parser = command_parser("experiments.held_out", __doc__)
-    parser.add_argument("--out", type=Path, default=OUT, metavar="DIR", help="folder of the files")
+    parser.add_argument(
+        "--out", type=Path, default=Path("runs/held_out"), metavar="DIR", help="folder of the files"
+    )
     arguments = parser.parse_args(argv)
     for number, variant in enumerate(progress(hand_set("test"), "held-out hands")):
         try:

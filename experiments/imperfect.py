@@ -4,7 +4,6 @@ have: ``python -m experiments.imperfect``."""
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -27,7 +26,6 @@ from hpac_gym.progress import progress
 CHOSEN_ON = 1000
 JUDGED_ON = 2000
 """First hands on which the bound and the thresholds of `hpac calibrate` were chosen, and judged."""
-OUT = Path("docs/results/experiments/imperfect.json")
 POSTURES = 40
 """Number of held-out postures that are commanded."""
 
@@ -142,7 +140,7 @@ def main(argv: list[str] | None = None) -> int:
     """Judge the hands with either protocol, print the table and write it."""
     parser = command_parser("experiments.imperfect", __doc__)
     parser.add_argument("--hands", type=whole_number(2), default=40, help="hands")
-    add_out(parser, OUT)
+    add_out(parser)
     arguments = parser.parse_args(argv)
     judged_by = {}
     for name, both_ways in (("flexion alone", False), ("points both ways", True)):

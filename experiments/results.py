@@ -131,17 +131,20 @@ def log_ticks(axis: Axis, ticks: Sequence[float]) -> None:
     axis.set_minor_locator(NullLocator())
 
 
-def add_workers_and_out(parser: argparse.ArgumentParser, out: Path) -> None:
+def add_workers_and_out(parser: argparse.ArgumentParser) -> None:
     """The arguments ``--workers`` and ``--out`` of an experiment that runs episodes."""
     parser.add_argument("--workers", type=whole_number(1), default=os.cpu_count() or 1)
-    add_out(parser, out)
+    add_out(parser)
 
 
-def add_out(parser: argparse.ArgumentParser, out: Path) -> None:
-    """The argument ``--out`` of an experiment; a file that cannot be written is refused before hours
-    of work.
+def add_out(parser: argparse.ArgumentParser) -> None:
+    """The argument ``--out`` of an experiment, not the committed results by default; a file that
+    cannot be written is refused before hours of work.
     """
-    parser.add_argument("--out", type=_writable, default=str(out), metavar="JSON")
+    out = f"runs/experiments/{parser.prog.rpartition('.')[2]}.json"
+    parser.add_argument(
+        "--out", type=_writable, default=out, metavar="JSON", help="file of the results"
+    )
 
 
 def _writable(name: str) -> Path:

@@ -20,7 +20,6 @@ from hpac_gym.output import markdown
 from hpac_gym.policies.loading import needed_options
 from hpac_gym.registration import GRASP_ANY
 
-OUT = Path("docs/results/experiments/shapes.json")
 SCRIPTED = "scripted"
 
 BOX = '<box size="{} {} {}"/>'
@@ -173,7 +172,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--policy", nargs="+", default=["grasp-any", "grasp-any-wrist"])
     parser.add_argument("--body", choices=("twin", "light"), default="twin")
     parser.add_argument("--episodes", type=whole_number(1), default=50, help="of each shape")
-    add_workers_and_out(parser, OUT)
+    add_workers_and_out(parser)
     arguments = parser.parse_args(argv)
     names = [SCRIPTED, *arguments.policy]
     jobs = [(name, shape, arguments.body, arguments.episodes) for name in names for shape in SHAPES]

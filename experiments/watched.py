@@ -8,7 +8,6 @@ pixels, with noise of 3 grey values and an uneven light; the hand itself is not 
 
 import sys
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -31,7 +30,6 @@ from hpac_gym.model import HPAC
 from hpac_gym.model.checks import Array
 from hpac_gym.progress import progress
 
-OUT = Path("docs/results/experiments/watched.json")
 OBJECT_CARD = Piece((50.0, 240.0), 33.0, 33.0)
 HAND_CARD = Piece((115.0, 240.0), 51.0, 51.0)
 """The boards, where they are printed."""
@@ -99,7 +97,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--pictures", type=whole_number(0), default=500)
     parser.add_argument("--hands", type=whole_number(0), default=2)
     parser.add_argument("--seed", type=whole_number(0), default=0)
-    add_out(parser, OUT)
+    add_out(parser)
     arguments = parser.parse_args(argv)
     seed = arguments.seed
     objects = []

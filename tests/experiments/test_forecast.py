@@ -5,10 +5,10 @@ import json
 import pytest
 
 from experiments import chain, forecast
-from experiments.forecast import OUT, SWEEP, WIDTH, summary, table
+from experiments.forecast import SWEEP, WIDTH, summary, table
 from hpac_gym.command import run
 from tests.options import refused
-from tests.test_docs import text_of
+from tests.test_docs import DOCS, text_of
 
 
 def row(seed, truth, low, high):
@@ -31,7 +31,7 @@ def test_an_interval_counts_if_it_holds_the_truth_and_is_narrow():
 
 
 def test_the_committed_counts_are_those_of_the_rows():
-    written = json.loads(text_of(OUT))
+    written = json.loads(text_of(DOCS / "results" / "experiments" / "forecast.json"))
     assert written["cells"] == json.loads(
         json.dumps(summary(written["rows"], written["without_a_sweep"]))
     )

@@ -1,11 +1,22 @@
 """The measured gap: the batch's ramp is the firmware's, and each row does what its name says."""
 
+import re
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from experiments import deployed, forecast, gap, shapes, study, watched
+from experiments import (
+    chain,
+    deployed,
+    forecast,
+    gap,
+    held_out,
+    imperfect,
+    shapes,
+    study,
+    watched,
+)
 from hpac_gym.bridge import HandLink, VirtualHand, servo_from_pulses
 from hpac_gym.model import HPAC, SERVOS, ServoCommand, streamed_servo
 from hpac_gym.output import OutputError
@@ -121,6 +132,17 @@ def test_results_that_cannot_be_written_are_told_before_hours_of_work(
     out = tmp_path / "file" if experiment is study else tmp_path
     with pytest.raises(OutputError, match=f"'{out}'"):
         experiment.main(["--out", str(out)])
+
+
+@pytest.mark.parametrize(
+    "experiment", [chain, deployed, forecast, gap, held_out, imperfect, shapes, watched]
+)
+def test_a_quick_look_replaces_no_committed_file(experiment, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "120")
+    with pytest.raises(SystemExit):
+        experiment.main(["--help"])
+    name = experiment.__name__.removeprefix("experiments.")
+    assert re.search(rf"--out .*\(default: runs/.*{name}", capsys.readouterr().out)
 
 
 @pytest.mark.parametrize("seconds", ["0", "-1", "nan"])
