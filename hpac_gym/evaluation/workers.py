@@ -11,6 +11,8 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from typing import TypeVar
 
+from tqdm import tqdm
+
 from hpac_gym.command import plain_warnings
 from hpac_gym.errors import HpacError
 from hpac_gym.progress import progress
@@ -90,6 +92,7 @@ def _interrupts_held() -> Iterator[None]:
 
 def _start() -> None:
     plain_warnings()
+    tqdm.set_lock(threading.RLock())  # its own holds a semaphore, which a killed worker leaks
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
 

@@ -4,6 +4,7 @@ import itertools
 import multiprocessing
 import os
 import signal
+import subprocess
 import sys
 import threading
 import time
@@ -47,6 +48,20 @@ def test_a_label_shows_how_many_jobs_are_done_on_a_terminal(capsys, monkeypatch)
     seen = capsys.readouterr().err
     assert "products" in seen
     assert "7/7" in seen
+
+
+def count(number: int) -> int:
+    return len(list(progress.progress(range(number), "numbers")))
+
+
+def test_a_job_with_a_bar_of_its_own_leaves_no_semaphore_behind():
+    program = (
+        "from hpac_gym.evaluation.workers import shared\n"
+        "from tests.evaluation.test_workers import count\n"
+        "print(list(shared(count, [(2,), (3,)], 2)))"
+    )
+    told = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert (told.stdout, told.stderr) == ("[2, 3]\n", "")
 
 
 def test_two_processes_tell_when_one_is_ended_from_outside():
