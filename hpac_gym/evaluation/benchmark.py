@@ -52,7 +52,6 @@ from hpac_gym.output import writable_file, write_text
 from hpac_gym.physics.simulation import is_installed
 from hpac_gym.policies.loading import NAMES, NORMALIZE, about, load_policy
 from hpac_gym.policies.onnx_model import MODEL
-from hpac_gym.policies.policy_file import policy_path
 
 
 def header(args: argparse.Namespace) -> Results:
@@ -111,11 +110,10 @@ def _seeded(name: str | None, seed: int) -> str | None:
 
 
 def _file(name: str, told: dict[str, Any]) -> dict[str, Any]:
-    path = policy_path(name)
-    path = path / MODEL if os.path.isdir(path) else path
+    # A policy file has that of its weights: a resumed training writes the same ones into another file.
+    digest = told.get("sha256") or hashlib.sha256((Path(name) / MODEL).read_bytes()).hexdigest()
     told = told.get("training", told)  # of an exported policy
     keys = ("algorithm", "env_steps", "seed", "normalize_sha256")
-    digest = hashlib.sha256(path.read_bytes()).hexdigest()
     return {"sha256": digest, **{key: told[key] for key in keys if key in told}}
 
 

@@ -422,6 +422,19 @@ def test_an_exported_policy_is_a_file_with_its_steps_and_a_baseline_s_name_is_no
         assert ("no budget named" if known else "not trained") in told.out
 
 
+def test_the_same_weights_in_a_file_that_was_written_again_are_the_same_policy(
+    tmp_path, monkeypatch
+):
+    for name in ("judged_splits", "summary"):
+        monkeypatch.setattr(f"hpac_gym.evaluation.benchmark.{name}", lambda results: [])
+    grasp = read_policy("grasp")
+    file = tmp_path / "policy.hpac"
+    for seconds in (1, 2):
+        write_policy(file, PolicyFile(grasp.actor, grasp.about | {"seconds": seconds}))
+        words = ["--policy", str(file), "--out", str(tmp_path / "results.json")]
+        assert main(["HPAC-Grasp-v0", *words]) == 0
+
+
 @pytest.mark.parametrize(("steps", "said"), [(1, True), (0, False)])
 def test_a_policy_over_the_budget_is_told(steps, said, tmp_path, capsys, monkeypatch):
     file = {"sha256": "", "env_steps": steps}
