@@ -254,7 +254,8 @@ def recipe_of(args: Namespace) -> Recipe:
     given = given_settings(args)
     env_id = (args.env or recipe.env_id).removeprefix("hpac_gym:")
     options = env_options(args, env_id)
-    if fixed := [name for name in ("obs", "reward", "render_mode") if name in options]:
+    own = ("obs", "reward", "render_mode", "max_episode_steps")
+    if fixed := [name for name in own if name in options]:
         raise RecipeError(
             f"{fixed[0]} is {options[fixed[0]]!r}: a training of closures has its own"
         )

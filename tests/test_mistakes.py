@@ -266,6 +266,7 @@ MISTAKES = [
     (f"{TRAIN} --set obs=deploy", "obs is 'deploy': a training of closures has its own"),
     (f"{TRAIN} --set reward=sparse", "reward is 'sparse': a training of closures has"),
     (f"{TRAIN} --set render_mode=human", "render_mode is 'human': a training of closures"),
+    (f"{TRAIN} --set max_episode_steps=20", "max_episode_steps is 20: a training of closures"),
     (f"{TRAIN} --gamma 0.9", "unrecognized arguments: --gamma"),
     (
         f"{TRAIN} --begin 5,6 --release 1,2",
