@@ -33,7 +33,7 @@ from hpac_gym.evaluation.options import add_env_options, env_options, with_set
 from hpac_gym.evaluation.seeds import training_seed
 from hpac_gym.output import writable_folder
 from hpac_gym.policies import PolicyFile, write_policy
-from hpac_gym.registration import GRASP, full_id
+from hpac_gym.registration import GRASP, full_id, row_of
 
 SAVE_EVERY_S = 60.0
 
@@ -129,12 +129,14 @@ def race(
     """Train a contender in the folder `out` for `time_limit` seconds of processor time.
 
     Raises:
+        EnvError: The environment is none of `hpac_gym.register`.
         RecipeError: The library of its algorithm is not installed, or it refuses a setting.
         RunError: The folder already holds a run, another training writes to it, or this one diverged.
     """
     algorithm_of(name)
     if any((out / file).exists() for file in (POLICY, CURVE)):
         raise RunError(f"folder '{out}' already holds a run: name another one")
+    row_of(env_id)
     target = target_of(env_id, **options)
     writable_folder(out)
     with alone_in(out):

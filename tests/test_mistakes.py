@@ -285,6 +285,7 @@ MISTAKES = [
         "agents.race sac --env HPAC-Posture-v1 --out {folder}/race",
         "its observation is not a vector",
     ),
+    ("agents.race ppo --env Ant-v5 --out {folder}/race", "no environment 'Ant-v5': there are"),
     ("agents.race sac --set tau2=1 --out {folder}/race", "unknown options tau2: there are"),
     ("agents.race sac --out {folder}/bent", "already holds a run"),
     (
