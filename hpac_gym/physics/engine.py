@@ -52,7 +52,7 @@ class PhysicsError(HpacError, RuntimeError):
 
 
 class PhysicsWarning(UserWarning):
-    """An episode ended as a failure because its simulation failed."""
+    """A simulation failed, and its episode ended as a failure; or a hand is too stiff for PyBullet."""
 
 
 Kind = TypeVar("Kind", bound="SceneSetup")

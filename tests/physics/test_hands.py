@@ -1,6 +1,7 @@
 """The family of hands: what is drawn, and what both engines make of it."""
 
 import dataclasses
+import warnings
 from functools import partial
 
 import mujoco
@@ -186,6 +187,22 @@ def test_a_drive_of_any_stiffness_moves_as_the_stiffest_that_is_simulated(engine
     assert manifold < 1e-3
     assert command < 0.3
     assert speed < 0.05
+
+
+@pytest.mark.pybullet
+@pytest.mark.parametrize(("factor", "shivers"), [(1.3, False), (1.5, True)])
+def test_pybullet_warns_of_tendons_that_are_too_stiff_for_it(factor, shivers, begun):
+    stiff = scaled_hand(HPAC, {"tendon_stiffness": factor, "drive_stiffness": factor})
+    half = HPAC.synergy_max / 2
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        simulation = begun("pybullet", SceneSetup(None, synergy=half, hand=stiff))
+    assert len(told) == shivers
+    simulation.command(servo_from_synergy(half * 1.2)[None], 0.5)
+    simulation.rest(1.5)
+    assert (abs(simulation.state().joint_vel).max() > 1.0) == shivers
+    if told:
+        assert "ω dt of the hand's stiffest tendon is 1.46: above 1.4" in f"{told[0].message}"
 
 
 @engines

@@ -2,6 +2,7 @@
 motor.
 """
 
+import warnings
 from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -14,16 +15,18 @@ from hpac_gym.body.geometry import Geometry
 from hpac_gym.body.urdf import WRIST_EFFORT, hand_urdf
 from hpac_gym.model import DIGITS, FINGERS, JOINTS, Hand, joints_from_synergy
 from hpac_gym.model.checks import Array
-from hpac_gym.physics.engine import HAND_POSITION, PARTS
+from hpac_gym.physics.engine import HAND_POSITION, PARTS, PhysicsWarning
 from hpac_gym.physics.mechanics import armature_of
 from hpac_gym.physics.pybullet.world import World, quiet_output
 from hpac_gym.physics.settings import HandSettings
-from hpac_gym.physics.tendons import Tendons
+from hpac_gym.physics.tendons import Tendons, viscosities
 
 _SLIDES = ("wrist_x", "wrist_y", "wrist_z")
 _OTHER = 1
 _FINGER = 64
 """Collision groups: 1 is Bullet's default, 64 the first without a predefined meaning."""
+FASTEST = 1.4
+"""Largest ω dt of a single tendon at which explicit torques are stable: 1.2 in the nominal hand."""
 MAX_JOINT_SPEED = 20.0
 """Joint speed limit: that of a digit that snaps free of another one [rad/s]."""
 _urdf = lru_cache(maxsize=64)(hand_urdf)
@@ -138,10 +141,20 @@ class SimHand:
                     self.body, half_stroke.tolist(), physicsClientId=self._client
                 )
             )
+        inertia = inertia[np.ix_(self._joints, self._joints)]
+        dt = self.world.settings.dt
+        viscosity, mobility = viscosities(hand, inertia, 0.5)
+        fastest = float((viscosity * mobility).max()) * dt
+        if fastest > FASTEST:
+            warnings.warn(
+                f"ω dt of the hand's stiffest tendon is {fastest:.2f}: above {FASTEST} its joints shiver in PyBullet, not with engine='mujoco'",
+                PhysicsWarning,
+                stacklevel=2,
+            )
         self.tendons = Tendons(
             hand,
-            inertia[np.ix_(self._joints, self._joints)],
-            self.world.settings.dt,
+            inertia,
+            dt,
             settings.damping,
             settings.slack,
             settings.strength,
