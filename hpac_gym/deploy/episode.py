@@ -129,10 +129,10 @@ def run_episode(
         BridgeError: The hand refuses, is stopped, or does not answer.
         KeyboardInterrupt: Ctrl-C, after the hand has opened.
     """
-    clock = link.exchange.transport.now
+    clock = source.clock = link.exchange.transport.now
     counts = StreamCounts()
     try:
-        pose = observer.turned(averaged(source, seconds, oldest, pause=link.sleep, clock=clock))
+        pose = observer.turned(averaged(source, seconds, oldest, pause=link.sleep))
         observer.expects(pose)
         observer.start()
         # It may take longer than the watchdog of an armed hand waits.

@@ -35,10 +35,12 @@ class Source:
 
     Attributes:
         where: its name in messages.
+        clock: the time [s], by which a recording is played.
         fault: why the last one was none; empty if nobody knows.
     """
 
     where = "its source"
+    clock: Callable[[], float] = monotonic
     fault = ""
     _latest: tuple[Pose, float] | None = None
     """The latest pose and when it came [s]."""
@@ -93,7 +95,7 @@ class Recorded(Source):
         PoseError: The file cannot be read, or a row is no pose or goes back in time.
     """
 
-    def __init__(self, path: Path, clock: Callable[[], float] = monotonic) -> None:
+    def __init__(self, path: Path) -> None:
         text = read_text(path, "poses", PoseError, "utf-8-sig")
         try:
             rows = list(csv.DictReader(text.splitlines()))
@@ -116,7 +118,6 @@ class Recorded(Source):
             self._rows.append((at, pose_of(numbers, where)))
         if not rows:
             raise PoseError(f"poses {path}: no rows")
-        self._clock = clock
         self._began: float | None = None
 
     def begin(self) -> None:
@@ -124,8 +125,8 @@ class Recorded(Source):
 
     def latest(self) -> tuple[Pose, float]:
         if self._began is None:
-            self._began = self._clock() - self._rows[0][0]
-        now = self._clock() - self._began
+            self._began = self.clock() - self._rows[0][0]
+        now = self.clock() - self._began
         at, pose = next((row for row in reversed(self._rows) if row[0] <= now), self._rows[0])
         return pose, max(now - at, 0.0)
 
@@ -237,7 +238,6 @@ def averaged(
     oldest: float,
     patience: float = 5.0,
     pause: Callable[[float], None] = sleep,
-    clock: Callable[[], float] = monotonic,
 ) -> Pose:
     """The mean of the poses of some time: policies that look once look here.
 
@@ -247,15 +247,14 @@ def averaged(
         oldest: greatest age of a pose [s].
         patience: longest wait for the first one [s].
         pause: waits for some seconds, and keeps the hand alive meanwhile.
-        clock: the time [s].
 
     Raises:
         PoseError: No pose came, or the object was lost.
     """
     late = Late(f"waiting for poses at {source.where}")
-    begun = clock()
+    begun = source.clock()
     while source.latest() is None:
-        if clock() - begun > patience:
+        if source.clock() - begun > patience:
             raise PoseError(
                 f"no pose of the object within {patience:g} s at {source.where}"
                 + (f": {source.fault}" if source.fault else "")
@@ -263,12 +262,12 @@ def averaged(
         late()
         pause(0.02)
     poses: list[Pose] = []
-    until = clock() + seconds
+    until = source.clock() + seconds
     while True:
         latest, age = source.latest()
         if age <= oldest and not any(latest is pose for pose in poses):
             poses.append(latest)
-        if clock() >= until:
+        if source.clock() >= until:
             break
         pause(0.02)
     if not poses:

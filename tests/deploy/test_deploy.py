@@ -31,7 +31,7 @@ from hpac_gym.deploy.commands import object_of
 from hpac_gym.deploy.episode import Log, run_episode, wire_log
 from hpac_gym.deploy.errors import DeployError, PoseError
 from hpac_gym.deploy.observer import TASKS, UPRIGHT, Observer, Pose
-from hpac_gym.deploy.poses import Fixed, Packets, Recorded, averaged, pose_of, source_of
+from hpac_gym.deploy.poses import Fixed, Packets, averaged, pose_of, source_of
 from hpac_gym.deploy.replay import figure_of, simulation
 from hpac_gym.deploy.watching import watched
 from hpac_gym.figures import save
@@ -185,7 +185,8 @@ def test_sources_are_told_by_their_text(tmp_path):
     path = tmp_path / "poses.csv"
     path.write_text("time_s,x_m,y_m,z_m\n0,0.05,0,0.1\n0.5,0.06,0,0.1\n")
     now = [10.0]
-    recorded = Recorded(path, lambda: now[0])
+    recorded = source_of(f"{path}")
+    recorded.clock = lambda: now[0]
     for begun in (12.0, 20.0):
         now[0] = begun
         assert recorded.latest()[0].position[0] == 0.05
@@ -295,7 +296,8 @@ def test_the_first_pose_is_a_mean():
 
     def mean(numbers):
         latest = Mock(side_effect=((pose_of(each, "here"), 0.0) for each in numbers))
-        return averaged(Mock(latest=latest), 2.0, 0.5, pause=pause, clock=lambda: now[0])
+        source = Mock(latest=latest, clock=lambda: now[0])
+        return averaged(source, 2.0, 0.5, pause=pause)
 
     rng = np.random.default_rng(0)
     noisy = mean([0.05, *rng.normal(0, 0.01, 2)] for _ in count())
@@ -573,6 +575,14 @@ def test_a_hand_does_not_close_on_an_object_that_is_lost_while_the_arm_gets_read
     source = Lost(PLACE)
     with pytest.raises(PoseError, match="3 s old, allowed"):
         episode(link, failing(None), source, Arriving(), live=lambda _: pytest.fail("closes"))
+
+
+def test_a_recording_is_played_by_the_clock_of_the_hand(tmp_path, capsys):
+    poses = tmp_path / "poses.csv"
+    poses.write_text("time_s,x_m,y_m,z_m\n0,0.05,0.005,0.11\n0.1,0.05,0.005,0.11\n")
+    words = ["deploy", *WORDS[:4], f"{poses}", *VIRTUAL, "--log", f"{tmp_path}/log.jsonl"]
+    assert hpac.main(words) == 2
+    assert "s old, allowed 0.5 s: given up, the hand opens" in capsys.readouterr().err
 
 
 def test_an_estop_from_elsewhere_ends_the_episode_and_stays(hand):
