@@ -33,6 +33,7 @@ from hpac_gym.deploy.observer import Observer
 from hpac_gym.deploy.poses import averaged, source_of
 from hpac_gym.evaluation import options as environment
 from hpac_gym.model import SERVOS, load_hand
+from hpac_gym.model.files import hand_to_toml
 from hpac_gym.policies.loading import NAMES, NORMALIZE, load_policy, needed_options
 from hpac_gym.policies.policy_file import policy_path
 
@@ -179,7 +180,7 @@ def _head(options: argparse.Namespace, observer: Observer, given: dict[str, Any]
         "options": given,
         "object": options.object,
         "hand": observer.model.name,
-        "model": options.model,
+        "model": hand_to_toml(observer.model) if options.model else None,
         "port": options.port,
         "servos": SERVOS,
         "terms": [[term.name, *term.labels] for term in observer.task.terms],

@@ -17,8 +17,9 @@ from hpac_gym.deploy.observer import Observer
 from hpac_gym.errors import HpacError
 from hpac_gym.evaluation.environment import make_env
 from hpac_gym.figures import new_figure, require, save
-from hpac_gym.model import SERVOS, load_hand
+from hpac_gym.model import HPAC, SERVOS
 from hpac_gym.model.checks import Array, as_finite_vector, as_unit_vector
+from hpac_gym.model.files import hand_from_toml
 from hpac_gym.output import read_text
 
 APART_M = 0.01
@@ -46,7 +47,8 @@ def run(options: argparse.Namespace) -> int:
         require(options.out)
     head, steps, end = read_log(options.log)
     needed = head.get("options", {})
-    hand = load_hand(head.get("model"))
+    model = head.get("model")
+    hand = hand_from_toml(model, str(options.log)) if model else HPAC
     thing = object_of(head["object"])
     observer = Observer(head["env_id"], thing, hand, head["grasp"], **needed)
     commanded, simulated, outcome = simulation(observer, needed, steps, options.engine)

@@ -738,11 +738,12 @@ def test_what_a_policy_needed_of_its_environment_is_played_too(path, capsys, mon
     assert said.out.startswith("grasp-any-wrist on virtual, 144 steps, ended: done")
 
 
-def test_a_calibrated_hand_is_played_with_its_file(path, capsys, tmp_path):
+def test_a_calibrated_hand_is_played_as_it_was_deployed(path, capsys, tmp_path):
     file = tmp_path / "hand.toml"
     text = hand_to_toml(replace(HPAC, calibration=Calibration(servo_zero=(0.3,) * 6)))
     file.write_text(text)
     assert told(capsys, *WORDS, *VIRTUAL, "--log", path, "--model", file)[0] == 0
+    file.unlink()
     status, said = told(capsys, path, command="replay")
     assert (status, said.err) == (0, "")
     assert float(said.out.splitlines()[1].split()[3]) < 0.05
