@@ -95,6 +95,14 @@ MISTAKES = [
         "HPAC-Grasp-v0 with obs cannot be deployed: ",
     ),
     (
+        f"hpac deploy grasp {POSED} --set model=x",
+        "HPAC-Grasp-v0 with model cannot be deployed: ",
+    ),
+    (
+        f"hpac deploy grasp {POSED} --set object.mass=0.3",
+        "--set 'object.mass=0.3': object is ObjectSpec(shape='cylinder'",
+    ),
+    (
         f"hpac deploy grasp {POSED} --pose 0.9,0,0",
         "at x = 0.900 m in the hand's frame; HPAC-Grasp-v0",
     ),

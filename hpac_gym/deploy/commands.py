@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from hpac_gym.body.objects import ObjectSpec
-from hpac_gym.body.own_objects import own_object
+from hpac_gym.body.own_objects import as_object
 from hpac_gym.bridge import HandLink, WireLog
 from hpac_gym.bridge.commands import PORT_HELP, connector
 from hpac_gym.bridge.transport import open_transport
@@ -99,26 +99,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(run=run)
 
 
-def object_of(text: str) -> ObjectSpec:
-    """The object of an ``--object``.
+def object_of(given: str | dict[str, Any]) -> ObjectSpec:
+    """The object of an ``--object``, or of the arguments of `own_object`.
 
     Raises:
         ParameterError: It is none.
     """
-    given = environment.object_of(text)
-    return own_object(**given) if isinstance(given, dict) else given
+    return as_object(environment.object_of(given) if isinstance(given, str) else given)
 
 
 def run(options: argparse.Namespace) -> int:
     """Run one episode, or only tell what would be done."""
     env_id = options.env or environment.env_id_of(options.policy)
     hand = load_hand(options.model)
-    thing = object_of(options.object)
-    given = environment.with_set(needed_options(options.policy, env_id), options.set)
-    observer = Observer(env_id, thing, hand, options.grasp, **given)
+    needed = needed_options(options.policy, env_id)
+    needed |= {"object": environment.object_of(options.object)}
+    given = environment.with_set(needed, options.set)
+    thing = given.pop("object")
+    observer = Observer(env_id, as_object(thing), hand, options.grasp, **given)
     policy = load_policy(options.policy, observer, options.normalize)
     with ExitStack() as stack:
-        source = source_of(options.pose, thing)
+        source = source_of(options.pose, observer.setup.object)
         stack.enter_context(closing(source))
         if options.dry_run:
             _dry_run(options, observer, policy, source)
@@ -134,7 +135,7 @@ def run(options: argparse.Namespace) -> int:
         port = connector(options.port, stack)
         transport = stack.enter_context(closing(open_transport(port)))  # or no log is begun
         log = stack.enter_context(Log(options.log))
-        log.write(hpac_deploy=LOG_VERSION, **_head(options, observer, given))
+        log.write(hpac_deploy=LOG_VERSION, **_head(options, observer, given, thing))
         regular = options.log.is_file()  # beside /dev/null there is no wire log
         wire = stack.enter_context(WireLog(wire_log(options.log))) if regular else None
         link = stack.enter_context(HandLink(lambda: transport, hand=hand, log=wire))
@@ -168,7 +169,9 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _head(options: argparse.Namespace, observer: Observer, given: dict[str, Any]) -> dict[str, Any]:
+def _head(
+    options: argparse.Namespace, observer: Observer, given: dict[str, Any], thing: Any
+) -> dict[str, Any]:
     """The first line of a log: what it takes to play it again."""
     path = policy_path(options.policy)
     return {
@@ -178,7 +181,7 @@ def _head(options: argparse.Namespace, observer: Observer, given: dict[str, Any]
         "env_id": observer.spec.id,
         "grasp": options.grasp,
         "options": given,
-        "object": options.object,
+        "object": thing if isinstance(thing, dict) else options.object,
         "hand": observer.model.name,
         "model": hand_to_toml(observer.model) if options.model else None,
         "port": options.port,

@@ -77,6 +77,7 @@ class Observer:
         object: ObjectSpec,
         model: Hand = HPAC,
         grasp: str | None = None,
+        /,
         **options: Any,
     ) -> None:
         name = env_id.rpartition(":")[2]

@@ -129,9 +129,9 @@ def read_log(path: Path) -> tuple[dict[str, Any], list[dict[str, Any]], str]:
 def _require_values(row: dict[str, Any]) -> None:
     """Refuse a first line or a step with values of other kinds."""
     if "hpac_deploy" in row:
-        for name in ("env_id", "object", *(("model",) if row.get("model") is not None else ())):
-            if not isinstance(row[name], str):
-                raise DeployError(f"{name} {row[name]!r} is no text")
+        for name, kind in (("env_id", str), ("object", str | dict), ("model", str | None)):
+            if not isinstance(value := row.get(name), kind):
+                raise DeployError(f"{name} {value!r} is no text")
         if not isinstance(options := row.get("options", {}), dict):
             raise DeployError(f"options {options!r} are not those of an environment")
     elif "step" in row:

@@ -18,6 +18,7 @@ from unittest.mock import Mock, create_autospec
 import gymnasium
 import numpy as np
 import pytest
+import trimesh
 from scipy.spatial.transform import Rotation
 
 import hpac
@@ -664,7 +665,7 @@ def test_the_hand_is_preshaped_before_the_arm_is_asked_and_a_recording_begins_th
 
     shapes = []
     source = Fixed(PLACE)
-    observer = Observer(GRASP_TYPE, CAN, grasp="rod")
+    observer = Observer(GRASP_TYPE, CAN, HPAC, "rod")
     episode(link, load_policy("scripted", observer), source, Arriving(), observer=observer)
     source.begin.assert_called_once_with()
     preshape = servo_from_synergy(GRASP_TYPES["rod"].start.preshape)
@@ -736,6 +737,18 @@ def test_what_a_policy_needed_of_its_environment_is_played_too(path, capsys, mon
     status, said = told(capsys, path, command="replay")
     assert (status, said.err) == (0, "")
     assert said.out.startswith("grasp-any-wrist on virtual, 144 steps, ended: done")
+
+
+def test_an_object_of_a_file_is_deployed_with_the_arguments_of_set_and_played_with_them(
+    path, tmp_path, capsys
+):
+    mesh = f"{tmp_path}/block.stl"
+    trimesh.creation.box((40.0, 40.0, 100.0)).export(mesh)
+    words = ("grasp", "--object", mesh, "--set", "object.mass=0.3", "--set", "object.scale=0.001")
+    assert told(capsys, *words, *WORDS[3:], *VIRTUAL, "--log", path)[0] == 0
+    head, *_ = path.read_text().splitlines()
+    assert json.loads(head)["object"] == {"path": mesh, "mass": 0.3, "scale": 0.001}
+    assert told(capsys, path, command="replay")[0] == 0
 
 
 def test_a_calibrated_hand_is_played_as_it_was_deployed(path, capsys, tmp_path):
