@@ -30,8 +30,8 @@ from hpac_gym.physics.supports import COLORS, support_boxes
 from hpac_gym.view.meshes import Links, add_mesh, moved, object_meshes, solid
 
 GHOSTS = {
-    "rigid": ("rigid prediction", (230, 80, 160)),
-    "elastic": ("elastic prediction", (60, 190, 120)),
+    "rigid": ("nominal rigid prediction", (230, 80, 160)),
+    "elastic": ("nominal elastic prediction", (60, 190, 120)),
     "goal": ("goal", (60, 130, 240)),
 }
 """Postures that can be laid over the hand: label and colour."""

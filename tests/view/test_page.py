@@ -72,6 +72,8 @@ def test_a_page_that_something_else_drives_says_so_and_has_no_buttons_for_it():
         assert page._servos.label == "Servos [rad]" + ", read-only" * driven
         assert {slider.disabled for slider in page.sliders} == {driven}
         assert (page._all.visible, page._open.visible) == (not driven, not driven)
+    labels = [box.label for box in page._boxes.values()]
+    assert labels == ["nominal rigid prediction", "nominal elastic prediction", "goal"]
     page.show(Shown(np.full(15, 0.5), np.zeros(6), np.zeros(3), np.full(5, -0.01)))
     assert "| joint | angle [rad] |" in page._figures.content
     assert "| thumb_mp | 0.50 | 0.0 |" in page._figures.content
