@@ -8,6 +8,7 @@ import time
 import webbrowser
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -126,9 +127,12 @@ def _film(path: Path) -> Iterator[Any]:
 
     how = {"format": path.suffix, **FILMS[path.suffix]}
     with replacing(path) as temporary:
-        with imageio.get_writer(temporary, **how) as film:
+        memory = BytesIO()  # on a full disk Pillow's writer would fail again when it is deleted
+        with imageio.get_writer(memory if path.suffix == ".gif" else temporary, **how) as film:
             yield film
-        if path.suffix == ".mp4":  # a full disk fails in ffmpeg alone
+        if path.suffix == ".gif":
+            temporary.write_bytes(memory.getvalue())
+        else:  # a full disk fails in ffmpeg alone
             try:
                 imageio_ffmpeg.count_frames_and_secs(temporary)
             except RuntimeError:

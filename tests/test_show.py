@@ -17,7 +17,7 @@ from hpac_gym.output import OutputError
 from hpac_gym.policies.loading import shipped_for
 from hpac_gym.view.page import HandPage
 from tests.options import refused
-from tests.processes import started
+from tests.processes import python, started
 from tests.tiny_task import Tiny
 
 
@@ -72,6 +72,18 @@ def test_a_film_is_written(tmp_path, capsys, monkeypatch):
     assert f"written: {path}" in told.out
     assert "frames of seed " in told.err
     assert len(imageio.mimread(path, memtest=False)) > 40
+
+
+def test_a_film_that_does_not_fit_on_the_disk_is_one_line(tmp_path):
+    script = """
+import hpac, resource, sys
+resource.setrlimit(resource.RLIMIT_FSIZE, (30_000, 30_000))
+sys.exit(hpac.main(sys.argv[1:]))
+"""
+    path = f"{tmp_path}/film.gif"
+    words = ["show", "--grasp", "rod", "--episodes", "1", "--record", path]
+    done = python("-c", script, *words)
+    assert (done.returncode, done.stderr) == (2, f"error: cannot write '{path}': File too large\n")
 
 
 class Filmed(Tiny):
