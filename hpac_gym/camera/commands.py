@@ -76,7 +76,7 @@ def calibrated(frames: Device) -> tuple[Lens, float]:
         seen = detect(picture)
         if len(seen) >= LEAST_TAGS and all(_moved(seen, view) > LEAST_MOVED for view in views):
             views.append(seen)
-            said = f"picture {len(views)} of {VIEWS}: now turn and move the sheet"
+            said = f"picture {len(views)} of {VIEWS}: now tilt and move the sheet"
             print(said, file=sys.stderr, flush=True)
         if len(views) == VIEWS:
             break

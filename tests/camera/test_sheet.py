@@ -113,7 +113,7 @@ def test_pictures_of_the_sheet_give_the_camera_and_keep_where_its_owner_put_the_
     if boards:
         path.write_text(before.to_json())
     assert hpac.main(["tags", "--calibrate", "0", "--out", str(path)]) == 0
-    assert "picture 15 of 15" in capsys.readouterr().err
+    assert "picture 15 of 15: now tilt and move the sheet" in capsys.readouterr().err
     lens = load_lens(path)
     assert lens.focal == pytest.approx((930, 930), rel=0.005)
     assert lens.centre == pytest.approx((639.5, 359.5), abs=5)
