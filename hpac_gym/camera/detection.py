@@ -290,7 +290,7 @@ class Watch(Generic[_Result]):
                 picture = frames.read()
                 at = monotonic()
                 if picture is None:
-                    self.fault = "the camera gives no more pictures"
+                    self.fault = f"{self.fault}; the camera gives no more pictures".lstrip("; ")
                     break
                 try:
                     self._latest = look(picture), at

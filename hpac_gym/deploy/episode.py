@@ -157,7 +157,7 @@ def run_episode(
             latest, age = source.latest()
             if age > oldest and phase == closing:
                 raise PoseError(
-                    f"the object's pose is {age:.2g} s old, allowed {oldest:g} s: given up, the hand opens"
+                    f"the object's pose is {age:.3g} s old, allowed {oldest:g} s: given up, the hand opens"
                 )
             arm.tell({"phase": phase, "time": step / CONTROL_HZ, "offset": offset.tolist()})
             if step:  # the first is decided

@@ -271,7 +271,7 @@ def averaged(
             break
         pause(0.02)
     if not poses:
-        raise PoseError(f"the object's pose is {age:.2g} s old, allowed {oldest:g} s")
+        raise PoseError(f"the object's pose is {age:.3g} s old, allowed {oldest:g} s")
     place = np.mean([pose.position for pose in poses], axis=0)
     quaternions = np.array([pose.quaternion for pose in poses if pose.quaternion])
     if not len(quaternions):

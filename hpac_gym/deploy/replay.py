@@ -61,7 +61,7 @@ def run(options: argparse.Namespace) -> int:
     beyond = time[distance > APART_M].tolist()
     played = int(np.isfinite(distance).sum())
     early = f" after {played} steps, before the end of the log" if played < len(steps) else ""
-    where = f"apart from {beyond[0]:.2f} s on" if beyond else "together"
+    where = f"parted at {beyond[0]:.2f} s" if beyond else "together"
     text = f"""\
 {head["policy"]} on {head["port"]}, {len(steps)} steps, ended: {end}
 commands: at most {apart[step, servo]:.3f} rad from the simulation's, {SERVOS[servo]} at {time[step]:.2f} s

@@ -2,6 +2,7 @@
 the printed sheet.
 """
 
+import re
 import time
 from unittest.mock import Mock
 
@@ -14,7 +15,7 @@ import hpac
 from experiments import watched
 from experiments.pictures import Pinhole
 from hpac_gym.camera import CameraError
-from hpac_gym.camera.detection import FIELD_OF_VIEW_DEG, Lens, Watch, detect
+from hpac_gym.camera.detection import FIELD_OF_VIEW_DEG, HD, Lens, Watch, detect
 from hpac_gym.camera.poses import board_place, object_place
 from hpac_gym.camera.sheet import HAND, OBJECT
 from hpac_gym.deploy import poses
@@ -115,15 +116,18 @@ def test_the_lens_may_say_where_the_boards_are():
 # --- the source
 
 
-def test_a_watch_keeps_the_latest_result_and_says_why_there_is_none():
+@pytest.mark.parametrize(
+    ("last", "fault"), [([], ""), ([np.zeros(HD[::-1], np.uint8)], "0 of the 4 tags of .*; ")]
+)
+def test_a_watch_keeps_the_latest_result_and_says_why_there_is_none(last, fault):
     picture, position, _ = scene(0)
-    camera = frames([picture, np.zeros_like(picture)])
+    camera = frames([picture, *last])
     source = poses.Tags(camera, watched.TRUE, watched.TOP)
     source._thread.join(10)
     pose, age = source.latest()
     assert np.linalg.norm(pose.position - position) < 3e-3
     assert age >= 0
-    assert source.fault == "the camera gives no more pictures"
+    assert re.fullmatch(f"{fault}the camera gives no more pictures", source.fault)
     source.close()
     assert camera.close.called
 

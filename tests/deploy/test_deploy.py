@@ -505,7 +505,7 @@ class Lost(Fixed):
 
     def latest(self):
         self.looks += 1
-        return self._pose, 0.0 if self.looks < 15 else 3.0
+        return self._pose, 0.0 if self.looks < 15 else 0.504
 
 
 class Full(Log):
@@ -534,7 +534,7 @@ class Full(Log):
             Lost,
             Log,
             PoseError,
-            "3 s old, allowed 0.5 s: given up, the hand opens",
+            "0.504 s old, allowed 0.5 s: given up, the hand opens",
         ),
         (lambda: np.zeros(6), Fixed, Full, OutputError, "No space left"),
     ],
@@ -574,7 +574,11 @@ def test_a_hand_does_not_close_on_an_object_that_is_lost_while_the_arm_gets_read
             source.looks = 15
 
     source = Lost(PLACE)
-    with pytest.raises(PoseError, match="3 s old, allowed"):
+    source.looks = 15
+    with pytest.raises(PoseError, match=r"0\.504 s old, allowed 0\.5 s$"):
+        averaged(source, 0.0, 0.5)
+    source.looks = 0
+    with pytest.raises(PoseError, match=r"0\.504 s old, allowed"):
         episode(link, failing(None), source, Arriving(), live=lambda _: pytest.fail("closes"))
 
 
@@ -788,7 +792,7 @@ def test_an_object_that_moved_is_told(log, capsys):
         row["position"][1] += 0.05
     del rows[0]["options"]  # as in older logs
     log.write_text("\n".join(map(json.dumps, rows)))
-    assert "apart from 0.4" in told(capsys, log, command="replay")[1].out
+    assert "parted at 0.4" in told(capsys, log, command="replay")[1].out
 
 
 HEAD = '{"hpac_deploy": 1, "env_id": "", "grasp": null, "object": "", "policy": "", "port": ""}'
