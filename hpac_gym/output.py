@@ -5,6 +5,7 @@ import os
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from itertools import count
 from pathlib import Path
 from typing import Any, Self
 
@@ -49,6 +50,19 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
         raise OutputError(f"cannot write '{path}': {error.strerror or error}") from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def numbered(path: Path) -> Iterator[Path]:
+    """The names `NAME-1`, `NAME-2` and so on of a file."""
+    return (path.with_stem(f"{path.stem}-{number}") for number in count(1))
+
+
+def keep(path: Path, beside: Callable[[Path], Path] = Path) -> None:
+    """Move a file, and the one `beside` it, out of the way, to `NAME-1` or the next free number."""
+    free = next(new for new in numbered(path) if not (new.exists() or beside(new).exists()))
+    for old, new in ((path, free), (beside(path), beside(free))):
+        if old.is_file():
+            old.rename(new)
 
 
 def markdown(head: Sequence[object], rows: Iterable[Sequence[object]]) -> str:

@@ -22,8 +22,8 @@ from hpac_gym.calibration.segment import Segment, added, angles_in
 from hpac_gym.camera import CameraError
 from hpac_gym.camera.detection import Device, Lens, Seen, Watch, lens_of
 from hpac_gym.camera.sheet import STRIPS
-from hpac_gym.model import HPAC, SERVOS, Hand
-from hpac_gym.output import writable_file
+from hpac_gym.model import HPAC, SERVO_INDEX, SERVOS, Hand
+from hpac_gym.output import keep, writable_file, writing
 
 OLDEST = 1.0
 """Age of the last picture, or row of angles, at which a sweep is given up [s]."""
@@ -121,7 +121,8 @@ def record(
 
     Args:
         port: as of every command.
-        path: the record; what it has stays, but for servos of this trial that are swept to the end.
+        path: the record; what it has stays, but for servos of this trial that are swept to the end:
+            then the file is kept as `NAME-1`, or the next free number.
         camera: number of a camera, or a video, and with a comma its file.
         angles: file that another program writes meanwhile, see `angles_in`.
         servos: servos to sweep.
@@ -134,8 +135,10 @@ def record(
         CameraError, BridgeError, RecordError, OutputError: See there.
     """
     writable_file(path)
+    swept: set[tuple[int, int]] = set()
     if path.exists():
-        read_sweep(path)
+        before = read_sweep(path)
+        swept.update(zip(before.trial.tolist(), before.swept.tolist(), strict=True))
     with ExitStack() as stack:
         look: Look = dict if angles is None else partial(fresh, angles)
         lens = Lens()
@@ -166,7 +169,12 @@ def record(
                     misfit = segment.angles_from_tags(lens)
                 except CameraError as error:
                     raise CameraError(f"sweep of {servo}: {error}") from None
-            write_sweep(path, added(path, segment))
+            grown = added(path, segment)
+            if (trial, SERVO_INDEX[servo]) in swept:
+                swept.clear()  # the others of this run are added to the same file
+                with writing(path):
+                    keep(path)
+            write_sweep(path, grown)
             print(f"recorded: {servo} in {path}", file=sys.stderr, flush=True)
             if isinstance(look, Eye):
                 print(f"its tags fit to {misfit:.2f} pixels", file=sys.stderr, flush=True)

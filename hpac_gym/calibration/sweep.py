@@ -31,7 +31,10 @@ from hpac_gym.output import markdown, write_text
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of `hpac sweep`."""
     of = parser.add_mutually_exclusive_group(required=True)
-    of.add_argument("--port", help=f"sweep this hand into DIR/sweep.csv: {PORT_HELP}")
+    of.add_argument(
+        "--port",
+        help=f"sweep this hand into DIR/sweep.csv, and keep one that had the servo as sweep-1.csv: {PORT_HELP}",
+    )
     of.add_argument("--record", type=Path, metavar="CSV", help="take this record; nothing moves")
     by = parser.add_mutually_exclusive_group()
     by.add_argument(

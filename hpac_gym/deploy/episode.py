@@ -4,10 +4,10 @@ Whatever happens, the hand opens slowly and is disarmed before anything else is 
 
 import json
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict
-from itertools import chain, count, takewhile
+from itertools import chain, takewhile
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,7 @@ from hpac_gym.deploy.observer import Observer, Pose
 from hpac_gym.deploy.poses import Source, averaged
 from hpac_gym.model import SERVOS
 from hpac_gym.model.checks import Array
-from hpac_gym.output import Lines, OutputError, writing
+from hpac_gym.output import Lines, OutputError, keep, numbered, writing
 from hpac_gym.policies import Policy
 from hpac_gym.policies.policy import ask
 from hpac_gym.tasks.task import CONTROL_HZ
@@ -54,7 +54,7 @@ class Log(Lines):
             with writing(path):
                 path.parent.mkdir(parents=True, exist_ok=True)
                 if path.is_file() or wire_log(path).is_file():
-                    _keep(path)
+                    keep(path, wire_log)
         super().__init__(path or os.devnull, "a")
 
     @property
@@ -62,7 +62,7 @@ class Log(Lines):
         """Where it is: a later log of its name has moved it."""
         given = Path(self._path)
         here = os.fstat(self._file.fileno())
-        names = takewhile(Path.exists, chain([given], _numbered(given)))
+        names = takewhile(Path.exists, chain([given], numbered(given)))
         return next((name for name in names if os.path.samestat(name.stat(), here)), given)
 
     def write(self, **line: Any) -> None:
@@ -74,18 +74,6 @@ class Log(Lines):
         self.append(
             json.dumps(line, default=lambda v: v.tolist() if isinstance(v, np.ndarray) else str(v))
         )
-
-
-def _numbered(path: Path) -> Iterator[Path]:
-    return (path.with_stem(f"{path.stem}-{number}") for number in count(1))
-
-
-def _keep(path: Path) -> None:
-    """Move a log and its wire log out of the way, to `NAME-1` or the next free number."""
-    free = next(new for new in _numbered(path) if not (new.exists() or wire_log(new).exists()))
-    for old, new in ((path, free), (wire_log(path), wire_log(free))):
-        if old.is_file():
-            old.rename(new)
 
 
 def wire_log(path: Path) -> Path:

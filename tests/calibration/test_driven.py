@@ -487,6 +487,18 @@ def test_the_command_takes_another_tracker_s_angles(tracker, tmp_path, capsys):
     assert np.isnan(record.joint_pos[:, :3]).all()
 
 
+def test_a_record_of_which_a_servo_is_swept_again_is_kept(tracker, tmp_path):
+    path = tmp_path / "sweep.csv"
+    words = [*WORDS, "--angles", str(tracker.path), "--points", "3", "--out", str(tmp_path)]
+    for trial in ("0", "1"):
+        assert hpac.main([*words, "--trial", trial]) == 0
+    assert not (tmp_path / "sweep-1.csv").exists()
+    before = path.read_text()
+    assert hpac.main(words) == 0
+    assert (tmp_path / "sweep-1.csv").read_text() == before != path.read_text()
+    assert set(read_sweep(path).trial) == {0, 1}
+
+
 @pytest.mark.parametrize("seconds", [0.05, 10.0], ids=["at once", "while it flexes"])
 def test_a_tracker_that_stops_ends_the_sweep(wired, tracker, tmp_path, capsys, seconds):
     """Before the hand has a pulse; and when its last row is a second old."""
