@@ -49,7 +49,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--out", type=Path, metavar="PNG", help="draw the posture here (all: runs/postures.png)"
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
-    parser.add_argument("--port", metavar="PORT", help="send the posture to the hand on this port")
+    parser.add_argument(
+        "--port", metavar="PORT", help="hold the posture on this port's hand until Ctrl-C"
+    )
     parser.set_defaults(run=run)
 
 

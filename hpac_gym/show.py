@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from hpac_gym.command import add_json, say, whole_number
+from hpac_gym.envs import HandEnv
 from hpac_gym.errors import ParameterError
 from hpac_gym.evaluation.environment import make_env
 from hpac_gym.evaluation.episodes import run_episodes, single
@@ -40,7 +41,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "id, also module:My-v0 (default: a policy file's own)",
         help=f"{NAMES} (default: a shipped one of --env; scripted with --grasp)",
     )
-    parser.add_argument("--seed", type=whole_number(0), default=HELD_OUT_SEED, help="of the first")
+    parser.add_argument(
+        "--seed", type=whole_number(0), default=HELD_OUT_SEED, help="seed of the first episode"
+    )
     parser.add_argument(
         "--episodes",
         type=whole_number(1),
@@ -107,6 +110,8 @@ def _episode(env: Any, actor: Any, seed: int, film: Any) -> bool:
 
 def _page(env: Any, options: argparse.Namespace) -> Any:
     """The page of an environment, in the browser."""
+    if not isinstance(env.unwrapped, HandEnv):
+        raise ParameterError(f"'{env.spec.id}' has no hand for the page: --record FILE films it")
     page = env.unwrapped.episodes.pictures.page
     if options.json:
         say(True, "", page=page.address)

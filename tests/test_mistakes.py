@@ -256,6 +256,7 @@ MISTAKES = [
         "hpac show --episodes 1 --env CartPole-v1",
         "environment 'CartPole-v1' acts in Discrete(2): policies need",
     ),
+    ("hpac show --episodes 1 --env Ant-v5", "'Ant-v5' has no hand for the page: --record FILE"),
     ("hpac show --episodes 1 --record /proc/none/film.gif", "/proc/none"),
     # The workshop
     ("agents.train grasp", "--out"),
