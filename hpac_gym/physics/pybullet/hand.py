@@ -147,7 +147,7 @@ class SimHand:
         fastest = float((viscosity * mobility).max()) * dt
         if fastest > FASTEST:
             warnings.warn(
-                f"ω dt of the hand's stiffest tendon is {fastest:.2f}: above {FASTEST} its joints shiver in PyBullet, not with engine='mujoco'",
+                f"ω dt of the hand's stiffest tendon is {fastest:.2f}: above {FASTEST} joints shiver in PyBullet, not in MuJoCo",
                 PhysicsWarning,
                 stacklevel=2,
             )
