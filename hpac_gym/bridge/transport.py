@@ -4,10 +4,13 @@
 A transport also owns the clock, so that a link to a virtual hand runs in virtual time without
 sleeping."""
 
+import os
 import re
 import socket
+import struct
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Protocol
 
 import serial
@@ -57,8 +60,8 @@ class SerialTransport(Transport):
     `lock=False` opens it beside the program that has the lock: for a stop, which a hand accepts
     from anybody. Each of the two then reads only some of the hand's bytes.
 
-    DTR and RTS are set low as soon as the port is open; otherwise many boards stay in their boot
-    loader. A board may reset all the same.
+    DTR and RTS are set low as soon as the port is open, both at once: many boards reset while one
+    of them alone is low, and forget heat and fault. A board may reset all the same.
 
     Args:
         port: `/dev/ttyUSB0`, `COM3`, the path of a pseudo-terminal, `socket://HOST:PORT`, or any
@@ -77,10 +80,13 @@ class SerialTransport(Transport):
                 port, do_not_open=True, timeout=0, write_timeout=_WRITE_TIMEOUT
             )
             self._serial.baudrate = CONSTANTS["baud"]
-            self._serial.dtr = False
-            self._serial.rts = False
+            raised = os.name == "posix" and isinstance(self._serial, serial.Serial)  # on opening
+            self._serial.dtr = raised
+            self._serial.rts = raised
             self._serial.exclusive = lock or None  # Windows refuses False, and locks
             self._serial.open()
+            if raised:
+                _lower(self._serial.fd)
             if raw := getattr(
                 self._serial, "_socket", None
             ):  # a stop must not wait for the ACK of a move
@@ -120,6 +126,15 @@ class SerialTransport(Transport):
 
     def close(self) -> None:
         self._serial.close()
+
+
+def _lower(fd: int) -> None:
+    """Set DTR and RTS of a port low at once; a pseudo-terminal has none."""
+    import fcntl
+    import termios
+
+    with suppress(OSError):
+        fcntl.ioctl(fd, termios.TIOCMBIC, struct.pack("I", termios.TIOCM_DTR | termios.TIOCM_RTS))
 
 
 def _gone(what: str, error: Exception) -> str:

@@ -2,11 +2,14 @@
 answer.
 """
 
+import fcntl
 import json
 import math
 import os
 import pty
 import socket
+import struct
+import termios
 from types import SimpleNamespace
 
 import numpy as np
@@ -293,6 +296,29 @@ def test_a_port_gives_all_that_lies_there_and_says_when_it_was_unplugged():
         transport.read(0.1)
     with pytest.raises(PortError, match=r"takes no bytes: unplugged\?$"):
         transport.write(b"x")
+
+
+def test_no_line_of_a_port_is_low_alone_which_would_reset_many_boards(monkeypatch):
+    """Linux raises both as it opens a port; a pseudo-terminal has none."""
+    both = termios.TIOCM_DTR | termios.TIOCM_RTS
+    lines = [both]
+    real = fcntl.ioctl
+
+    def ioctl(fd, request, value=0, *rest):
+        if request not in (termios.TIOCMBIS, termios.TIOCMBIC):
+            return real(fd, request, value, *rest)
+        (chosen,) = struct.unpack("I", value)
+        raised = request == termios.TIOCMBIS
+        lines.append(lines[-1] | chosen if raised else lines[-1] & ~chosen)
+        return 0
+
+    monkeypatch.setattr(fcntl, "ioctl", ioctl)
+    ours, theirs = pty.openpty()
+    open_transport(os.ttyname(theirs)).close()
+    os.close(theirs)
+    os.close(ours)
+    assert set(lines) == {both, 0}
+    assert lines[-1] == 0
 
 
 # --- values
