@@ -37,3 +37,9 @@ def nominal_record() -> Sweep:
     return metal_sweeps(
         build(Workshop(), 1, 0), 3, JointCamera(noise=np.deg2rad(0.05)), servos=("index_mcp",)
     )[0]
+
+
+@pytest.fixture(scope="session")
+def second(hidden: Built) -> Sweep:
+    """Another record of the hidden hand."""
+    return metal_sweeps([hidden], 2)[0]

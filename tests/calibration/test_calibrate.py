@@ -140,8 +140,8 @@ def test_a_check_measures_every_joint_that_the_sweep_does(record, calibrate, tmp
     assert "second.csv does not measure thumb_ip, thumb_mp: its bound is" in said.err
 
 
-def test_a_second_sweep_is_what_the_first_line_is_about(record, hidden, calibrate, tmp_path):
-    status, said = calibrate(record, second=metal_sweeps([hidden], 2)[0])
+def test_a_second_sweep_is_what_the_first_line_is_about(record, second, calibrate, tmp_path):
+    status, said = calibrate(record, second=second)
     assert status == 0
     report = json.loads((tmp_path / "hand-report" / "report.json").read_text())
     worst = report["expected_worst_deg"]
@@ -163,12 +163,12 @@ def test_the_expected_worst_joint_lies_between_the_largest_and_what_all_joints_l
 
 
 def test_an_error_of_the_first_camera_shows_in_the_second_sweep_alone(
-    record, hidden, calibrate, tmp_path
+    record, second, calibrate, tmp_path
 ):
     """The reason for a second one: a camera whose scale is 3 % off fits itself."""
     wrong = record.with_joint_pos(1.03 * record.joint_pos)
     alone = _worst(calibrate(wrong)[1].out)
-    checked = _worst(calibrate(wrong, second=metal_sweeps([hidden], 2)[0])[1].out)
+    checked = _worst(calibrate(wrong, second=second)[1].out)
     assert alone < 0.15
     assert checked > 5 * alone
 

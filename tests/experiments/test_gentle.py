@@ -86,12 +86,14 @@ def test_rows_count_the_episodes_that_are_asked_for(monkeypatch):
 
 def test_a_policy_is_trained_written_and_judged(tmp_path, monkeypatch):
     monkeypatch.setattr(gentle, "WORLDS", 4)
-    words = ["--out", str(tmp_path), "--rounds", "2", "--steps", str(4 * 88 * 12 - 9), "--untold"]
+    monkeypatch.setattr(gentle, "UPDATES", 10)
+    monkeypatch.setattr(gentle, "WARMING", 1)
+    words = ["--out", str(tmp_path), "--rounds", "2", "--steps", str(4 * 88 * 3 - 9), "--untold"]
     assert gentle.main(words) == 0
     name = str(tmp_path / "policy.hpac")
     about = read_policy(name).about
-    assert (about["obs"], about["control_steps"]) == ("load", 4 * 88 * 14)
-    assert about["episodes"] >= 4 * 14, "none lasts longer"
+    assert (about["obs"], about["control_steps"]) == ("load", 4 * 88 * 5)
+    assert about["episodes"] >= 4 * 5, "none lasts longer"
     with pytest.raises(RunError, match=r"policy\.hpac' is there already"):
         gentle.main(words)
     found = judge(name, HELD_OUT_SEED, 4, engine="mujoco", told=False)
