@@ -135,11 +135,10 @@ def _decomposed(path: Path, settings: Mapping[str, Any]) -> list:
         with waiting(f"convex parts of {path.name}"):
             convex = coacd.run_coacd(coacd.Mesh(mesh.vertices, mesh.faces), **settings)
         parts = [trimesh.convex.convex_hull(corners) for corners, _ in convex]
-        if remeshed:  # which changes the size a little
-            low, high = trimesh.util.concatenate(parts).bounds
-            for part in parts:
-                share = (part.vertices - low) / (high - low)
-                part.vertices = mesh.bounds[0] + share * mesh.extents
+        low, high = trimesh.util.concatenate(parts).bounds  # a remeshed one's are a little larger
+        for part in parts:
+            share = (part.vertices - low) / (high - low)
+            part.vertices = mesh.bounds[0] + share * mesh.extents
     elif len(whole.vertices) > _CORNERS:
         parts = [trimesh.convex.convex_hull(_outermost(whole.vertices))]
     return [(part.vertices.tolist(), part.faces.tolist()) for part in parts]

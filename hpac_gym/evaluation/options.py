@@ -35,8 +35,9 @@ OPTIONS = {
     "hands": "split of the hands: nominal, train or test",
     "types": "types of grasps: all, train, test or one's name",
     "grasp": "a named grasp, or a grasp type, for the tasks that have them",
-    "object": "cylinder:RADIUS,HALF_HEIGHT, sphere:RADIUS, box:HALF,HALF,HALF [m], or a file (.stl, .obj, .urdf)",
-    "hand": "file of the hand that is simulated",
+    "object": "cylinder:RADIUS,HALF_HEIGHT, sphere:RADIUS, box:HALF,HALF,HALF [m], or a file (.stl, .obj, .urdf; "
+    "a mesh has 0.1 kg unless --set object.mass)",
+    "hand": "file of the simulated hand: its tendons, springs and servos",
     "model": "what commands are computed with: a hand file, hand or calibrated",
 }
 """Options of an environment by name. All others, such as `wrist`, are given with ``--set``."""

@@ -115,6 +115,16 @@ def test_a_coarse_decomposition_is_the_default_and_a_fine_one_follows_the_mesh(
         own_object(path, mass=0.1, scale=0.001, detail="exact")
 
 
+def test_a_mesh_of_bodies_that_overlap_keeps_its_size(tmp_path):
+    """CoACD makes its surface anew by itself, which is a little larger."""
+    foot = trimesh.creation.box((60.0, 20.0, 20.0))
+    leg = trimesh.creation.box((18.0, 18.0, 75.0))
+    leg.apply_translation((-18.0, 0.0, 32.5))
+    trimesh.util.concatenate([foot, leg]).export(tmp_path / "l.stl")
+    model = own_object(tmp_path / "l.stl", mass=0.1, scale=0.001).model
+    np.testing.assert_allclose(model.size, (0.06, 0.02, 0.08), atol=1e-5)
+
+
 def test_a_round_mesh_keeps_few_of_its_corners_and_its_size(tmp_path):
     """A ball of 10,242 corners, as wide as long and half as high."""
     mesh = trimesh.creation.icosphere(subdivisions=5, radius=30.0)
