@@ -96,7 +96,7 @@ class Posture(Task):
     """
 
     endless = True
-    changing = ("_error",)
+    changing = ("_error", "_goals")
     unused = ("noise",)
     terms = COMMAND_TERMS
     privileged_terms = HAND_TERMS
@@ -125,7 +125,7 @@ class Posture(Task):
             RewardTerm(
                 "error",
                 "−1 · mean distance of the joints from the goal [rad]",
-                lambda now: -self._error.mean(axis=1),
+                lambda now: self.goal_reward(*self._goals, True),
             ),
         )
 
@@ -173,11 +173,12 @@ class Posture(Task):
         """Record the error of the measured joint angles from the observed goal, shapes (n, 15)
         [rad].
         """
+        self._goals = achieved, desired
         self._error = goal_error(achieved, desired)
 
     def sparse_reward(self, now: Moment) -> Array:
         """0 where the posture is reached, −1 elsewhere, shape (n,)."""
-        return self._missed(self._error)
+        return self.goal_reward(*self._goals, False)
 
     def goal_reward(self, achieved: Array, desired: Array, dense: bool) -> Array:
         """The dense or the sparse reward of postures against goals, shapes (..., 15) [rad], for

@@ -107,6 +107,18 @@ def test_compute_reward_is_vectorised_and_what_step_returns():
     assert rewards[-1] == 0.0
 
 
+def test_a_subclass_pays_what_it_computes_for_hindsight_replay(opened):
+    class Tenfold(Posture):
+        def goal_reward(self, achieved, desired, dense):
+            return 10 * super().goal_reward(achieved, desired, dense)
+
+    for reward in ("dense", "sparse"):
+        env = opened(GoalEnv(Tenfold(), reward=reward))
+        env.reset(seed=0)
+        row, paid, *_ = env.step(np.zeros(6))
+        assert paid == env.compute_reward(row["achieved_goal"], row["desired_goal"], {}) < -1.0
+
+
 def test_sparse_reward_is_zero_within_the_tolerance_of_every_joint(opened):
     env = opened(GoalEnv(Posture(), reward="sparse"))
     goal = np.zeros(len(JOINTS))
