@@ -20,6 +20,7 @@ from hpac_gym.envs.registered import options_of_id
 from hpac_gym.envs.snapshots import undeclared
 from hpac_gym.errors import EnvError, HpacError, ParameterError, ShapeError
 from hpac_gym.evaluation.environment import make_env
+from hpac_gym.tasks.grasp_setups import GraspConfig
 from hpac_gym.tasks.task import Task
 from hpac_gym.tasks.terms import RewardTerm, Term, column
 from tests.processes import ROOT, python
@@ -81,13 +82,16 @@ class Paid(Grasp):
     otherwise, or with another path of the wrist.
     """
 
-    def __init__(self, reward=None, seen=None, judged=None, pushed=None, path=None):
+    def __init__(self, reward=None, seen=None, fixed=None, judged=None, pushed=None, path=None):
         super().__init__()
         self.judged = judged
         self.push = pushed or self.push
         self.wrist_path = path or self.wrist_path
         if reward:
             self.reward_terms = (*self.reward_terms, RewardTerm("mine", "", reward))
+        if fixed:
+            known = Term("known", ("one", "two"), "kg", 0.0, 1.0, "", fixed, fixed=True)
+            self.terms = (*self.terms, known)
         if seen:
             self.terms = (*self.terms, Term("seen", ("one",), "1", 0.0, 1.0, "", seen))
 
@@ -114,6 +118,7 @@ class Paid(Grasp):
             r"reward term 'mine' must be finite, not \[nan nan\]",
         ),
         ({"seen": lambda now: column(now.state.time) * np.nan}, "term 'seen' is not a number: NaN"),
+        ({"fixed": lambda setup: setup.object.mass}, r"term 'known' .* \(2, 2\), not \(2,\)"),
         ({"judged": lambda found: True}, r"judge must return \(2,\) indices .*, not True"),
         ({"judged": lambda found: found + 7}, r"indices into running, success, failure, not array"),
         ({"pushed": lambda times: np.ones((2, 3))}, r"push .* shape \(2, 6, 3\), not \(2, 3\)"),
@@ -161,6 +166,15 @@ class Goals(Grasp):
     goal_terms = Posture.goal_terms
 
 
+class Phases(Grasp):
+    """`Grasp` with other phases."""
+
+    def __init__(self, phases, ends):
+        super().__init__()
+        self.phases = phases
+        self.ends = ends
+
+
 @pytest.mark.parametrize(
     ("make", "message"),
     [
@@ -171,6 +185,9 @@ class Goals(Grasp):
             lambda: "HPAC-Grasp-v0",
             "'HPAC-Grasp-v0' is no hpac_gym.tasks.task.Task: gymnasium.make takes an",
         ),
+        (lambda: Phases(("a", "b"), ()), "phases .* is not a time of each, in order"),
+        (lambda: Phases(("a", "b"), (1.0, 2.0, 3.0)), "is not a time of each, in order"),
+        (lambda: Phases(("a", "b"), (2.0, 1.0)), "is not a time of each, in order"),
         (Goals, "Goals has goal_terms but no measure and goal_reward: make it a subclass"),
     ],
 )
@@ -343,6 +360,15 @@ class Long(Grasp):
         """Without the settings of its class."""
 
 
+class Settled(Long):
+    config = GraspConfig()
+
+
+class Noisy(Grasp):
+    def __init__(self, noise=0.1):
+        super().__init__()
+
+
 class Endless(Long):
     duration = np.inf
 
@@ -360,6 +386,8 @@ class Half(Task):
         (Grasp, 1.5, ParameterError, r"max_episode_steps = 1\.5 must"),
         (Grasp, 30, ParameterError, "lasts 64 steps: Wrong-v0 has at most 29"),
         (Long, 60, ParameterError, "an episode lasts 60 steps: .* register it with more than 60"),
+        (Settled, 60, ParameterError, "an episode lasts 60 steps: .* register it with more than"),
+        (Noisy, 70, ParameterError, "its task's 'noise' is an option of every environment"),
         (Endless, 60, ParameterError, "an episode of inf s must have .* an end"),
         (NoTerms, None, ParameterError, "NoTerms has no terms, reward_terms"),
         (Half, None, TypeError, "abstract.*judge.*setup"),
@@ -400,8 +428,13 @@ def test_a_module_that_cannot_be_imported_is_told_in_one_line(tmp_path, monkeypa
         make_env("broken_task:Mine-v0")
 
 
+@pytest.mark.filterwarnings("ignore:.*Overriding environment")
 def test_an_unknown_option_is_named():
-    with pytest.raises(
-        TypeError, match="unknown options limits: there are config, object, limit, hand"
-    ):
-        gymnasium.make("mytasks:My-Gentle-v0", limits=3)
+    class Passing(Grasp):
+        def __init__(self, bonus=1.0, **others):
+            super().__init__(**others)
+
+    hpac_gym.register("Wrong-v0", Passing)
+    for env_id, known in (("mytasks:My-Gentle-v0", "config, object, limit"), ("Wrong-v0", "bonus")):
+        with pytest.raises(TypeError, match=f"unknown options limits: there are {known}, hand"):
+            gymnasium.make(env_id, limits=3)

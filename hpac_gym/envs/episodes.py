@@ -305,6 +305,10 @@ def _check(task: Task, options: Options) -> None:
         raise ParameterError(f"{task!r} is no hpac_gym.tasks.task.Task: gymnasium.make takes an id")
     check_choice("obs", options.obs, task.observations)
     require_own_names("the reward", task.reward_terms)
+    if list(task.ends) != sorted(task.ends) or len(task.phases) != max(len(task.ends), 1):
+        raise ParameterError(
+            f"phases {task.phases}: ends {task.ends} is not a time of each, in order"
+        )
     if task.goal_terms:
         kind = type(task).__name__
         if missing := [name for name in ("measure", "goal_reward") if not hasattr(task, name)]:

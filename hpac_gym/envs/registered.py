@@ -6,7 +6,6 @@ for by name: ``one My-v0`` and ``many My-v0``. Being text, they survive in the J
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from inspect import signature
 from typing import Any
 
 import gymnasium
@@ -17,7 +16,7 @@ from hpac_gym.envs.options import COMMON, check_names, check_number
 from hpac_gym.envs.vector_env import HandVectorEnv
 from hpac_gym.envs.vector_infos import check_arguments
 from hpac_gym.errors import ParameterError
-from hpac_gym.registration import Registered, add_row, row_of
+from hpac_gym.registration import IDS, Registered, add_row, row_of
 from hpac_gym.tasks.options import Option, options_of
 from hpac_gym.tasks.task import Task
 
@@ -67,7 +66,7 @@ def _common(task: Task) -> list[Option]:
 
 
 def _own_options(row: Registered) -> list[str]:
-    return list(signature(row.make).parameters)
+    return [option.name for option in options_of(row.make)]
 
 
 def _task(row: Registered, options: dict[str, Any]) -> Task:
@@ -89,7 +88,7 @@ def _task(row: Registered, options: dict[str, Any]) -> Task:
     if steps >= limit and not task.endless:
         kind = type(task).__name__
         told = f"lasts {steps} steps: {row.id} has at most {limit - 1}"
-        if task.config is None:
+        if row.id not in IDS:
             raise ParameterError(f"an episode {told}; register it with more than {steps}")
         raise ParameterError(f"config timetable {told}; use hpac_gym.envs.HandEnv({kind}(config))")
     return task
@@ -97,6 +96,10 @@ def _task(row: Registered, options: dict[str, Any]) -> Task:
 
 def _given(row: Registered, options: dict[str, Any]) -> tuple[Task, dict[str, Any], dict[str, Any]]:
     """The task, its own options, and the other ones."""
+    if both := {option.name for option in COMMON}.intersection(_own_options(row)):
+        raise ParameterError(
+            f"{row.id}: its task's {min(both)!r} is an option of every environment"
+        )
     own = {name: options.pop(name) for name in _own_options(row) if name in options}
     task = _task(row, own)
     known = [*_own_options(row), *(option.name for option in _common(task))]

@@ -13,6 +13,8 @@ import numpy as np
 
 from hpac_gym.errors import EpisodeError
 
+_PLAIN = np.ndarray | np.generic | float | int | str | np.random.Generator
+
 
 def save(owner: Any) -> dict[str, Any]:
     """Copies of an object's state, by name."""
@@ -77,7 +79,7 @@ def undeclared(owner: Any, act: Callable[[], object]) -> list[str]:
 
 
 def _has_state(part: Any) -> bool:
-    return isinstance(getattr(type(part), "changing", None), tuple)
+    return hasattr(type(part), "changing")
 
 
 def _contents(owner: Any, path: str, known: list[Any]) -> Iterator[tuple[str, bytes]]:
@@ -87,9 +89,8 @@ def _contents(owner: Any, path: str, known: list[Any]) -> Iterator[tuple[str, by
     known.append(owner)
     for name, value in vars(owner).items():
         entries = value.values() if isinstance(value, dict) else value
-        if isinstance(value, np.ndarray | float | int | np.random.Generator) or (
-            isinstance(value, list | dict)
-            and all(isinstance(entry, np.ndarray | np.random.Generator) for entry in entries)
+        if isinstance(value, _PLAIN) or (
+            isinstance(value, list | dict) and all(isinstance(entry, _PLAIN) for entry in entries)
         ):
             yield path + name, pickle.dumps(value)
         elif (

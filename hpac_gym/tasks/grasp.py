@@ -121,8 +121,8 @@ class Grasp(Task):
             self.variant = self.grasp.variant(variant)
             reason = f"a named grasp such as {grasp!r} has its own object, place and hand"
             self._refuse_ranges(RANGES, reason)
-        self._ends = self.timetable.ends
-        self.duration = self._ends[-1]
+        self.ends = self.timetable.ends
+        self.duration = self.ends[-1]
         self.terms = (*COMMAND_TERMS, *OBJECT_TERMS, *progress_terms(PHASES, self.duration))
         self.reward_terms = self._rewards()
         if object is not None:

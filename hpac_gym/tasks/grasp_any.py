@@ -134,8 +134,8 @@ class GraspAny(Task):
         self.config = config
         self.setups = Setups(objects, hands, config, object)
         self.wrist_actions = WRIST_ACTIONS if wrist == "free" else ()
-        self._ends = config.ends
-        self.duration = self._ends[-1]
+        self.ends = config.ends
+        self.duration = self.ends[-1]
         self.terms = (
             *COMMAND_TERMS,
             *OBJECT_TERMS,
@@ -222,8 +222,8 @@ class GraspAny(Task):
         return wrist_table(replace(table, clearance=table.lift_height), times)
 
     def push(self, times: Array) -> Array | None:
-        begin = self._ends[SHAKE]
-        middle = self._ends[SIDES]
+        begin = self.ends[SHAKE]
+        middle = self.ends[SIDES]
         if times.max() <= begin:
             return None
         side = np.clip(
@@ -237,7 +237,7 @@ class GraspAny(Task):
 
     def _ramp(self, time: Array) -> Array:
         """Magnitude of the final force ramp [N] at times [s]."""
-        share = (time - self._ends[SIDES]) / self.config.ramp_time
+        share = (time - self.ends[SIDES]) / self.config.ramp_time
         return self.config.ramp_force * np.minimum(np.maximum(share, 0.0), 1.0)
 
     def judge(self, state: SceneState, dt: float) -> NDArray[np.int_]:
@@ -267,7 +267,7 @@ class GraspAny(Task):
             turn = np.arccos(np.minimum(np.maximum(cosine, -1.0), 1.0))
             self.turn = np.where(shaken, self.turn, turn)
         if shaken.any():
-            side = np.round((state.time - self._ends[SHAKE]) / self.config.side_time, 6)
+            side = np.round((state.time - self.ends[SHAKE]) / self.config.side_time, 6)
             self.sides += (ran == SIDES) & held & (side == np.floor(side))
             pulled = (ran == RAMP) & held
             self.holding_force = np.where(pulled, self._ramp(state.time), self.holding_force)

@@ -145,7 +145,7 @@ class PickPlace(Task):
         self.config = config = settings_from(PickPlaceConfig(), config, "config")
         self.timetable = config.timetable
         ends = self.timetable.ends
-        self._ends = (*ends[: LIFT + 1], ends[-1])  # all after the lift is "place"
+        self.ends = (*ends[: LIFT + 1], ends[-1])  # all after the lift is "place"
         self.duration = ends[-1]
         target = Term(
             "target_pos",

@@ -54,8 +54,8 @@ class Task(ABC):
     """Settings of the task, a frozen dataclass."""
     phases: tuple[str, ...] = ("move",)
     """Names of an episode's phases, in order."""
-    _ends: tuple[float, ...] = ()
-    """End time of each phase [s]; empty for a single one."""
+    ends: tuple[float, ...] = ()
+    """End time of each phase, in order [s]; empty for a single one."""
     privileged_terms: tuple[Term, ...] = ()
     """Additional terms that only a critic may observe."""
     goal_terms: tuple[Term, ...] = ()
@@ -131,7 +131,7 @@ class Task(ABC):
         """Index into `phases` of the phase that is running or begins at times [s], shape (n,); the
         last phase stays.
         """
-        return phase_limits(self._ends).searchsorted(time)
+        return phase_limits(self.ends).searchsorted(time)
 
     def chosen(self, setup: SceneSetup, action: Array) -> SceneSetup:
         """The setup of an episode as changed by its first action, shape (6 + len(wrist_actions),),

@@ -240,7 +240,13 @@ class Layout:
         index = np.asarray(worlds)
         for term in self._terms:
             if term.fixed:
-                self._fixed[term.name][index] = [term.value(setup) for setup in setups]
+                values = np.array([term.value(setup) for setup in setups], np.float32)
+                shape = (len(setups), len(term.labels))
+                if values.shape != shape:
+                    raise ShapeError(
+                        f"term {term.name!r} must have shape {shape}, not {values.shape}"
+                    )
+                self._fixed[term.name][index] = values
 
     def see(self, now: Moment) -> NDArray[np.float32]:
         """Observation vectors, shape (n, size), clipped to the bounds (an object out of view).

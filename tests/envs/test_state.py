@@ -151,11 +151,11 @@ class Forgetful(Grasp):
     """A task that counts its steps and does not say so."""
 
     def prepare(self, num_worlds, noise):
-        self.count = np.zeros(num_worlds, dtype=int)
+        self.count = [0] * num_worlds
         return super().prepare(num_worlds, noise)
 
     def judge(self, state, dt):
-        self.count = self.count + 1
+        self.count = [steps + 1 for steps in self.count]
         return super().judge(state, dt)
 
 
@@ -163,7 +163,9 @@ class Mindful(Forgetful):
     changing = (*Forgetful.changing, "count")
 
 
-def test_a_task_that_forgets_a_part_of_its_state_is_refused(opened):
+@pytest.mark.parametrize("kind", [tuple, list])
+def test_a_task_that_forgets_a_part_of_its_state_is_refused(opened, kind, monkeypatch):
+    monkeypatch.setattr(Mindful, "changing", kind(Mindful.changing))
     for task, forgotten in ((Forgetful(), ["task.count"]), (Mindful(), [])):
         env = opened(HandEnv(task, engine="mujoco"))
         env.reset(seed=0)
