@@ -61,7 +61,7 @@
 #endif
 #define PCA9685_ADDRESS 0x40
 #define PCA9685_CLOCK_HZ 25000000 /* its oscillator is off by up to some percent: measure the period and correct this */
-/* OE has a pull-up of 10 kOhm to the PCA9685's supply: no pulses unless driven low. */
+/* OE is pulled up to VCC, 3.3 V, against the pull-down of most boards (README.md): no pulses unless driven low. */
 #if CONFIG_IDF_TARGET_ESP32
 #define PCA9685_SDA_PIN 21
 #define PCA9685_SCL_PIN 22
