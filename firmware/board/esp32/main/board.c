@@ -4,9 +4,13 @@
 
 #include "driver/gpio.h"
 #include "esp_adc/adc_oneshot.h"
+#include "esp_attr.h"
 #include "esp_err.h"
+#include "esp_private/system_internal.h"
+#include "esp_rom_sys.h"
 #include "hpac_protocol.h"
 #include "pins.h"
+#include "soc/gpio_reg.h"
 #if PORT_IS_USB
 #include "driver/usb_serial_jtag.h"
 #else
@@ -32,6 +36,24 @@ void board_output(int pin, uint32_t level)
 }
 
 void board_quiet(void) { board_output(SUPPLY_SWITCH_PIN, 0); }
+
+_Static_assert(SUPPLY_SWITCH_PIN < 32 && PCA9685_OE_PIN < 32, "SUPPLY_SWITCH_PIN, PCA9685_OE_PIN: a restart can set pins 0 to 31 only");
+
+/* The linker puts it in the place of ESP-IDF's, with which a panic ends: that one resets the processor alone, so pins and LEDC
+ * would go on through the reboot, and pulses be twice as long. Caches may be off: nothing that it calls lies in flash. */
+void IRAM_ATTR __wrap_esp_restart_noos(void)
+{
+    REG_WRITE(GPIO_OUT_W1TC_REG, 1u << SUPPLY_SWITCH_PIN);
+#if SERVOS_ON_PCA9685
+    REG_WRITE(GPIO_OUT_W1TS_REG, 1u << PCA9685_OE_PIN);
+#endif
+#if CONFIG_IDF_TARGET_ESP32
+    esp_restart_noos_dig(); /* its PLL would outlive the reset */
+#endif
+    esp_rom_software_reset_system();
+    for (;;) {
+    }
+}
 
 static void start_port(void)
 {

@@ -11,6 +11,9 @@ void board_output(int pin, uint32_t level);
 /* Servo supply off, before anything else is done. */
 void board_quiet(void);
 
+/* The end of a panic: servo supply off, OE high, then a reset of the peripherals, too. */
+void __wrap_esp_restart_noos(void) __attribute__((noreturn));
+
 /* Open the command port, and what pins.h says is there. */
 void board_start(void);
 

@@ -10,11 +10,14 @@
 #include "driver/uart.h"
 #include "driver/usb_serial_jtag.h"
 #include "esp_adc/adc_oneshot.h"
+#include "esp_private/system_internal.h"
+#include "esp_rom_sys.h"
 #include "esp_task_wdt.h"
 #include "esp_timer.h"
 #include "freertos/FreeRTOS.h"
 #include "freertos/task.h"
 #include "pins.h"
+#include "soc/gpio_reg.h"
 #include "soc/soc_caps.h"
 
 #define FIFO_BYTES 128
@@ -95,6 +98,20 @@ esp_reset_reason_t esp_reset_reason(void) { return fake.reset; }
 
 int64_t esp_timer_get_time(void) { return fake.now_us; }
 
+void esp_restart_noos_dig(void)
+{
+    fake.pll_off = true;
+    fine(STUB_TARGET == 32); /* most versions of ESP-IDF have it for this chip only */
+    esp_rom_software_reset_system();
+    __builtin_unreachable();
+}
+
+void esp_rom_software_reset_system(void)
+{
+    fake.restarted = fake.pll_off || STUB_TARGET != 32;
+    longjmp(power_off, 1);
+}
+
 /* Time passes here alone; at each start of a period the duties that were handed over reach the pins. */
 void vTaskDelay(uint32_t ticks)
 {
@@ -146,6 +163,13 @@ esp_err_t gpio_set_level(gpio_num_t pin, uint32_t level)
     fake.level_us[pin] = fake.level[pin] != level ? fake.now_us : fake.level_us[pin];
     fake.level[pin] = level;
     return fine(level <= 1u);
+}
+
+void stub_write(int level, uint32_t pins)
+{
+    for (int pin = 0; pin < 32; pin++) {
+        fake.level[pin] = (pins >> pin & 1u) != 0u ? (uint32_t)level : fake.level[pin];
+    }
 }
 
 esp_err_t gpio_set_direction(gpio_num_t pin, gpio_mode_t mode)

@@ -40,6 +40,8 @@ typedef struct {
     int i2c_faults;        /* so many transfers from now on fail */
     int i2c_flips;         /* so many writes from now on arrive with one bit wrong */
     size_t fifo;           /* bytes that wait in the UART */
+    bool pll_off;          /* the clock is the ROM's again */
+    bool restarted;        /* with all peripherals */
     bool unread;           /* nobody reads the USB: its driver takes nothing */
     uint8_t sent[16384];
     size_t sent_length;

@@ -6,6 +6,7 @@
 #include <string.h>
 
 #include "bench.h"
+#include "board.h"
 #include "fake.h"
 #include "oracle.h"
 #include "pins.h"
@@ -378,6 +379,26 @@ static void the_adc_breaks(int ms)
     CHECK(ms != 3158 || status_of(HPAC_DEVICE_STATUS_AT_SUPPLY_MV, 2) == 1u);
 }
 
+static void panics(int ms)
+{
+    open_session(ms);
+    if (ms == 3100) {
+        CHECK(powered() && !silent());
+        __wrap_esp_restart_noos();
+    }
+}
+
+static void a_panic_ends_everything(void)
+{
+    static uint32_t before[64];
+    fake_boot(ESP_RST_POWERON, until_the_reset, 3099);
+    memcpy(before, fake.level, sizeof before);
+    before[SUPPLY_SWITCH_PIN] = 0;
+    before[PCA9685_OE_PIN] = SERVOS_ON_PCA9685 ? 1u : before[PCA9685_OE_PIN];
+    fake_boot(ESP_RST_POWERON, panics, 3200);
+    CHECK(fake.restarted && !powered() && memcmp(before, fake.level, sizeof before) == 0);
+}
+
 static void signals_come_out_of_the_pins_that_pins_h_names(void)
 {
     static const int servos[] = SERVO_PINS;
@@ -506,6 +527,7 @@ int main(void)
     resets_are_told();
     this_copy_is_told();
     memory_outlives_a_reset();
+    a_panic_ends_everything();
     if (ESTOP_PIN != NO_PIN) {
         fake_boot(ESP_RST_POWERON, the_button, 3200);
     }

@@ -1,0 +1,2 @@
+#pragma once
+void esp_restart_noos_dig(void) __attribute__((noreturn));
