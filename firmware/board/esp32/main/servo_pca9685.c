@@ -12,20 +12,24 @@
 #include "driver/gpio.h"
 #include "driver/i2c_master.h"
 #include "esp_err.h"
+#include "esp_rom_sys.h"
 #include "esp_timer.h"
 
 #define MODE1 0x00
-#define MODE1_SLEEP 0x10
-#define MODE1_AUTO_INCREMENT 0x20
+#define MODE1_RESTART 0x80 /* the chip sets it when it falls asleep with a channel on */
+#define MODE1_ASLEEP 0x30  /* SLEEP, and AI: a transfer goes from register to register */
+#define MODE1_AWAKE 0x20
 #define MODE2 0x01
 #define MODE2_TOTEM_POLE 0x04 /* outputs change on STOP, low while OE is high */
 #define LED0_ON_L 0x06
+#define ALL_LED_OFF_H 0xfd
 #define PRESCALE 0xfe
 #define FULL_OFF 0x10 /* in LEDn_OFF_H */
 #define COUNTS 4096
 #define BUS_HZ 400000
 #define PATIENCE_MS 5
 #define ATTEMPTS 3
+#define WAKING_US 500
 #define FREQUENCY_HZ (1000000000 / HPAC_PULSE_PERIOD_NS)
 #define DIVIDER ((PCA9685_CLOCK_HZ + COUNTS * FREQUENCY_HZ / 2) / (COUNTS * FREQUENCY_HZ))
 
@@ -52,17 +56,28 @@ static bool put(uint8_t first, const uint8_t *values, size_t count)
 static bool holds(uint8_t address, uint8_t value)
 {
     uint8_t back;
-    return i2c_master_transmit_receive(chip, &address, 1, &back, 1, PATIENCE_MS) == ESP_OK && back == value;
+    return i2c_master_transmit_receive(chip, &address, 1, &back, 1, PATIENCE_MS) == ESP_OK
+           && (address == MODE1 ? back & ~MODE1_RESTART : back) == value;
 }
 
-/* Its divider can be written while it sleeps only. */
+static bool write_one(uint8_t address, uint8_t value)
+{
+    const uint8_t message[] = { address, value };
+    return i2c_master_transmit(chip, message, sizeof message, PATIENCE_MS) == ESP_OK;
+}
+
+static bool put_one(uint8_t address, uint8_t value) { return write_one(address, value) && holds(address, value); }
+
+static bool is_set_up(void) { return holds(MODE1, MODE1_AWAKE) && holds(PRESCALE, DIVIDER - 1); }
+
+/* Its divider can be written while it sleeps only, and it must not fall asleep with a channel on. ALL_LED_OFF_H cannot be read. */
 static bool set_up(void)
 {
-    const uint8_t asleep = MODE1_SLEEP | MODE1_AUTO_INCREMENT;
-    const uint8_t awake = MODE1_AUTO_INCREMENT;
-    const uint8_t divider = DIVIDER - 1;
-    const uint8_t outputs = MODE2_TOTEM_POLE;
-    return put(MODE1, &asleep, 1) && put(PRESCALE, &divider, 1) && put(MODE2, &outputs, 1) && put(MODE1, &awake, 1);
+    enable(false);
+    bool done = write_one(ALL_LED_OFF_H, FULL_OFF) && put_one(MODE1, MODE1_ASLEEP) && put_one(PRESCALE, DIVIDER - 1)
+                && put_one(MODE2, MODE2_TOTEM_POLE) && put_one(MODE1, MODE1_AWAKE);
+    esp_rom_delay_us(WAKING_US);
+    return done;
 }
 
 int64_t servo_output_start(void)
@@ -103,7 +118,7 @@ bool servo_output_write(const uint32_t pulses[HPAC_SERVOS])
         enable(false); /* at once, whatever the bus does */
     }
     for (int attempt = 0; attempt < ATTEMPTS && !done; attempt++) {
-        in_order = (in_order && holds(MODE1, MODE1_AUTO_INCREMENT) && holds(PRESCALE, DIVIDER - 1)) || set_up();
+        in_order = (in_order && (is_set_up() || is_set_up())) || set_up(); /* a read that is lost ends no pulse */
         done = in_order && put(LED0_ON_L, values, sizeof values);
     }
     enable(done && any);

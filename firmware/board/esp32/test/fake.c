@@ -36,7 +36,9 @@ static size_t to_receive_length;
 
 void fake_boot(esp_reset_reason_t reset, void (*every_ms)(int ms), int ms)
 {
+    int errors = fake.errors; /* of all boots */
     memset(&fake, 0, sizeof fake);
+    fake.errors = errors;
     fake.reset = reset;
     fake.now_us = 300000; /* the boot loader took its time */
     fake.adc_raw = 4095 * 6000 / SUPPLY_FULL_SCALE_MV;
@@ -160,6 +162,7 @@ esp_err_t esp_task_wdt_reset(void)
 esp_err_t gpio_set_level(gpio_num_t pin, uint32_t level)
 {
     fake.enabled_blind = fake.enabled_blind || (SERVOS_ON_PCA9685 && pin == PCA9685_OE_PIN && level == 0u && fake.i2c_failed);
+    fine(!SERVOS_ON_PCA9685 || pin != PCA9685_OE_PIN || level == 1u || fake.now_us >= fake.woke_us + 500);
     fake.level_us[pin] = fake.level[pin] != level ? fake.now_us : fake.level_us[pin];
     fake.level[pin] = level;
     return fine(level <= 1u);
@@ -357,6 +360,50 @@ static esp_err_t transfer(int timeout_ms)
     return ESP_OK;
 }
 
+void esp_rom_delay_us(uint32_t us) { fake.now_us += us; }
+
+static bool some_channel_runs(void)
+{
+    for (int i = 0; i < 16; i++) {
+        if ((fake.i2c[0x09 + 4 * i] & 0x10u) == 0u) {
+            return true;
+        }
+    }
+    return false;
+}
+
+/* A write to MODE1. RESTART (bit 7) is set by the chip when it falls asleep while a channel runs; writing 0 leaves it, writing
+ * 1 awake clears it. */
+static uint8_t mode1(uint8_t value)
+{
+    uint8_t was = fake.i2c[0x00];
+    bool sleeps = (value & 0x10u) != 0u;
+    bool restart = (was & 0x80u) != 0u && (sleeps || (value & 0x80u) == 0u);
+    if (sleeps && (was & 0x10u) == 0u) {
+        restart = restart || some_channel_runs();
+        fine(!some_channel_runs() && fake.level[PCA9685_OE_PIN] == 1u);
+    }
+    fake.woke_us = sleeps ? INT64_MAX / 2 : (was & 0x10u) != 0u ? fake.now_us : fake.woke_us;
+    return (uint8_t)((value & 0x7fu) | (restart ? 0x80u : 0u));
+}
+
+static void store(uint8_t at, uint8_t value)
+{
+    bool sleeps = (fake.i2c[0x00] & 0x10u) != 0u;
+    if (at == 0x00u) {
+        fake.i2c[at] = mode1(value);
+    } else if (at == 0xfdu) { /* ALL_LED_OFF_H: written only, it reads as 0 */
+        for (int i = 0; i < 16; i++) {
+            fake.i2c[0x09 + 4 * i] = value;
+        }
+    } else if (at != 0xfeu || sleeps) { /* the divider can be written asleep only */
+        fake.i2c[at] = value;
+    }
+    if (at >= 0x06u && at <= 0xfdu) { /* so does a write to any channel */
+        fake.i2c[0x00] &= 0x7fu;
+    }
+}
+
 static uint8_t next_register(uint8_t at) { return (uint8_t)((fake.i2c[0x00] & 0x20u) != 0u ? at + 1u : at); }
 
 esp_err_t i2c_master_transmit(i2c_master_dev_handle_t device, const uint8_t *bytes, size_t length, int timeout_ms)
@@ -367,15 +414,12 @@ esp_err_t i2c_master_transmit(i2c_master_dev_handle_t device, const uint8_t *byt
     }
     uint8_t at = bytes[0];
     for (size_t i = 1; i < length; i++) {
-        bool sleeps = (fake.i2c[0x00] & 0x10u) != 0u;
         uint8_t value = bytes[i];
         if (fake.i2c_flips > 0 && i == length - 2u) {
             fake.i2c_flips--;
             value ^= 0x40u;
         }
-        if (at != 0xfeu || sleeps) { /* the divider can be written asleep only */
-            fake.i2c[at] = value;
-        }
+        store(at, value);
         at = next_register(at);
     }
     return ESP_OK;

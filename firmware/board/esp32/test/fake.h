@@ -37,6 +37,7 @@ typedef struct {
     int adc_channel, adc_raw;
     bool adc_broken;
     uint8_t i2c[256];      /* the PCA9685's registers */
+    int64_t woke_us;       /* its oscillator needs 0.5 ms */
     int i2c_faults;        /* so many transfers from now on fail */
     int i2c_flips;         /* so many writes from now on arrive with one bit wrong */
     size_t fifo;           /* bytes that wait in the UART */
