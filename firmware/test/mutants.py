@@ -34,7 +34,7 @@ JUDGES = {"plain": ("glance", "unit", "driver", "flips"), "sanitized": ("unit", 
 FRAMES = {"glance": "15000", "driver": "150000"}
 """A glance is the hostile host for a moment."""
 VARIANTS = {
-    "esp32": ("-DSTUB_TARGET=32",),
+    "esp32": ("-DSTUB_TARGET=32", "-DSUPPLY_ADC_CHANNEL=6"),
     "c6": (
         "-DSTUB_TARGET=6",
         "-DESTOP_PIN=11",

@@ -3,6 +3,7 @@
 #include <string.h>
 
 #include "driver/gpio.h"
+#include "esp_adc/adc_cali_scheme.h"
 #include "esp_adc/adc_oneshot.h"
 #include "esp_attr.h"
 #include "esp_err.h"
@@ -18,9 +19,9 @@
 #endif
 
 #define RING_BYTES 1024
-#define ADC_MAX 4095
 
 static adc_oneshot_unit_handle_t adc;
+static adc_cali_handle_t calibration; /* of the factory: bare, an ESP32 reads 5.0 V as 4.3 */
 
 /* Answers that the port has not taken yet. */
 static struct {
@@ -76,6 +77,22 @@ static void start_port(void)
 #endif
 }
 
+/* A chip that has none has no supply that can be read. */
+static void start_calibration(void)
+{
+#if ADC_CALI_SCHEME_CURVE_FITTING_SUPPORTED
+    const adc_cali_curve_fitting_config_t curve = {
+        .unit_id = ADC_UNIT_1, .chan = (adc_channel_t)SUPPLY_ADC_CHANNEL, .atten = ADC_ATTEN_DB_12, .bitwidth = ADC_BITWIDTH_12
+    };
+    adc_cali_create_scheme_curve_fitting(&curve, &calibration);
+#else
+    const adc_cali_line_fitting_config_t line = {
+        .unit_id = ADC_UNIT_1, .atten = ADC_ATTEN_DB_12, .bitwidth = ADC_BITWIDTH_12, .default_vref = 1100
+    };
+    adc_cali_create_scheme_line_fitting(&line, &calibration);
+#endif
+}
+
 void board_start(void)
 {
     if (ESTOP_PIN != NO_PIN) {
@@ -87,6 +104,7 @@ void board_start(void)
         const adc_oneshot_chan_cfg_t channel = { .atten = ADC_ATTEN_DB_12, .bitwidth = ADC_BITWIDTH_12 };
         ESP_ERROR_CHECK(adc_oneshot_new_unit(&unit, &adc));
         ESP_ERROR_CHECK(adc_oneshot_config_channel(adc, (adc_channel_t)SUPPLY_ADC_CHANNEL, &channel));
+        start_calibration();
     }
     start_port();
 }
@@ -130,13 +148,13 @@ bool board_estop_pressed(void) { return ESTOP_PIN != NO_PIN && gpio_get_level(ES
 
 uint16_t board_supply_mv(void)
 {
-    int raw = 0;
+    int pin_mv = 0;
     if (SUPPLY_ADC_CHANNEL == NO_PIN) {
         return 0;
     }
-    if (adc_oneshot_read(adc, (adc_channel_t)SUPPLY_ADC_CHANNEL, &raw) != ESP_OK) {
+    if (adc_oneshot_get_calibrated_result(adc, calibration, (adc_channel_t)SUPPLY_ADC_CHANNEL, &pin_mv) != ESP_OK) {
         return 1; /* it cannot be read: as good as none */
     }
-    int mv = raw * SUPPLY_FULL_SCALE_MV / ADC_MAX;
+    int mv = pin_mv * SUPPLY_PER_MILLE / 1000;
     return (uint16_t)(mv > 0 ? mv : 1);
 }

@@ -49,11 +49,11 @@
 #endif
 
 /* The channel of ADC1 that reads the servo supply, in front of its switch, through a divider; NO_PIN: not measured.
- * SUPPLY_FULL_SCALE_MV is the supply that reads 4095: measure one voltage, and scale. */
+ * SUPPLY_PER_MILLE is the supply over the pin's voltage: 1000 * (20 kOhm + 10 kOhm) / 10 kOhm. Correct it by a multimeter. */
 #ifndef SUPPLY_ADC_CHANNEL
 #define SUPPLY_ADC_CHANNEL NO_PIN
 #endif
-#define SUPPLY_FULL_SCALE_MV 9300
+#define SUPPLY_PER_MILLE 3000
 
 /* 1: the servos hang on a PCA9685 board, channels 0 to 5, instead of on SERVO_PINS. */
 #ifndef SERVOS_ON_PCA9685

@@ -28,7 +28,7 @@ pins 32 27 32 33
 pins 3 18 21
 pins 6 11 2 3
 pins 13 0
-port "ESP32" -DSTUB_TARGET=32
+port "ESP32, supply measured" -DSTUB_TARGET=32 -DSUPPLY_ADC_CHANNEL=6
 port "C6 with e-stop, supply measured, trims" -DSTUB_TARGET=6 -DESTOP_PIN=11 -DSUPPLY_ADC_CHANNEL=0 \
     -DSERVO_TRIMS_NS='0, -1, 1, -20000, 20000, 300' -DSERVO_DIRECTIONS='1, -1, 1, 1, -1, 1'
 port "C3 behind its own USB" -DSTUB_TARGET=13 -DPORT_IS_USB=1 -DESTOP_PIN=0

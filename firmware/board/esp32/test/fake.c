@@ -9,6 +9,7 @@
 #include "driver/ledc.h"
 #include "driver/uart.h"
 #include "driver/usb_serial_jtag.h"
+#include "esp_adc/adc_cali_scheme.h"
 #include "esp_adc/adc_oneshot.h"
 #include "esp_private/system_internal.h"
 #include "esp_rom_sys.h"
@@ -41,7 +42,7 @@ void fake_boot(esp_reset_reason_t reset, void (*every_ms)(int ms), int ms)
     fake.errors = errors;
     fake.reset = reset;
     fake.now_us = 300000; /* the boot loader took its time */
-    fake.adc_raw = 4095 * 6000 / SUPPLY_FULL_SCALE_MV;
+    fake.supply_mv = 6000;
     for (int pin = 0; pin < 64; pin++) {
         bool grounded = pin == ESTOP_PIN || (SERVOS_ON_PCA9685 && pin == PCA9685_OE_PIN);
         fake.of_gpio[pin] = STUB_TARGET != 13 || pin < 4 || pin > 7; /* the C3 wakes up with JTAG on 4 to 7 */
@@ -213,10 +214,25 @@ esp_err_t adc_oneshot_config_channel(adc_oneshot_unit_handle_t unit, adc_channel
     return fine(unit != NULL && config->atten == ADC_ATTEN_DB_12 && config->bitwidth == ADC_BITWIDTH_12);
 }
 
-esp_err_t adc_oneshot_read(adc_oneshot_unit_handle_t unit, adc_channel_t channel, int *raw)
+esp_err_t adc_cali_create_scheme_curve_fitting(const adc_cali_curve_fitting_config_t *config, adc_cali_handle_t *calibration)
 {
-    *raw = fake.adc_raw;
-    fine(unit != NULL && (int)channel == fake.adc_channel);
+    *calibration = (adc_cali_handle_t)&fake;
+    return fine((int)config->chan == fake.adc_channel && config->unit_id == ADC_UNIT_1 && config->atten == ADC_ATTEN_DB_12
+                && config->bitwidth == ADC_BITWIDTH_12);
+}
+
+esp_err_t adc_cali_create_scheme_line_fitting(const adc_cali_line_fitting_config_t *config, adc_cali_handle_t *calibration)
+{
+    *calibration = (adc_cali_handle_t)&fake;
+    return fine(config->default_vref == 1100u && config->unit_id == ADC_UNIT_1 && config->atten == ADC_ATTEN_DB_12
+                && config->bitwidth == ADC_BITWIDTH_12);
+}
+
+/* Behind the divider of README.md. */
+esp_err_t adc_oneshot_get_calibrated_result(adc_oneshot_unit_handle_t unit, adc_cali_handle_t calibration, adc_channel_t channel, int *mv)
+{
+    *mv = fake.supply_mv / 3;
+    fine(unit != NULL && calibration != NULL && (int)channel == fake.adc_channel);
     return fake.adc_broken ? ESP_FAIL : ESP_OK;
 }
 

@@ -34,7 +34,7 @@ typedef struct {
     uint64_t glitches;  /* pins that drove a high level the moment they became outputs */
     int tx_pin, rx_pin; /* of UART0; -1: not routed, deaf */
     bool usb, uart_installed, uart_set;
-    int adc_channel, adc_raw;
+    int adc_channel, supply_mv;
     bool adc_broken;
     uint8_t i2c[256];      /* the PCA9685's registers */
     int64_t woke_us;       /* its oscillator needs 0.5 ms */

@@ -344,7 +344,7 @@ static void the_supply(int ms)
 {
     a_session_with_pins(ms);
     if (ms == 3110) {
-        fake.adc_raw = 4095 * (HPAC_SUPPLY_MIN_MV - 100) / SUPPLY_FULL_SCALE_MV;
+        fake.supply_mv = HPAC_SUPPLY_MIN_MV - 100;
     } else if (ms == 3125) {
         CHECK(powered()); /* a dip is none */
     } else if (ms == 3155) {
@@ -359,7 +359,7 @@ static void the_supply_is_gone(int ms) /* 0 V: not to be mistaken for a supply t
 {
     a_session_with_pins(ms);
     if (ms == 3110) {
-        fake.adc_raw = 0;
+        fake.supply_mv = 0;
     } else if (ms == 3155) {
         CHECK(silent() && !powered());
         ask_status();
