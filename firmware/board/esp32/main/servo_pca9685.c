@@ -1,5 +1,5 @@
 /* Six pulses from a PCA9685: 12 bits of a period, so one step is 4.9 us, 0.44 degrees of a 180-degree servo (7.7e-3 rad), forty
- * times the LEDC's of an ESP32. I2C has no checksum, so everything that is written is read back, and the chip's
+ * times the LEDC's of an ESP32. I2C has no checksum, so all that makes a pulse is read back, and the chip's
  * output enable (OE) is low only while what it holds is known: a pull-up keeps it high while this chip resets. */
 #include "pins.h"
 #include "servo_output.h"
