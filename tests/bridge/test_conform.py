@@ -373,12 +373,20 @@ def honest(rule: str) -> Watched:
 def failed(rule: str, check: tuple[str, int]) -> bool:
     """Whether a check is failed by a hand that tells one kind of lie shortly before it."""
     end = honest(rule).checks.index(check) + 1
-    for begin in range(end - 1, max(end - 7, -1), -1):
-        for lie in (lie for kind in {0, *honest(rule).kinds[begin:end]} for lie in LIES[kind]):
-            device = Watched(lie, begin, end)
-            if not device.run(rule) and device.checks[-1:] == [check]:
-                return True
-    return False
+
+    def fails(lie: Callable[[bytes], bytes], before: int) -> bool:
+        device = Watched(lie, end - before, end)
+        return not device.run(rule) and device.checks[-1:] == [check]
+
+    befores = range(1, min(7, end + 1))
+    tries = [(lie, before) for before in befores for lie in LIES[0]]
+    likely = sorted(
+        befores, key=lambda before: before not in (3, 4)
+    )  # what it is about is asked there
+    for before in likely:
+        kinds = {*honest(rule).kinds[end - before : end]} - {0}
+        tries += [(lie, before) for kind in kinds for lie in LIES[kind]]
+    return any(fails(*each) for each in tries)
 
 
 @pytest.mark.parametrize("rule", RULES)
