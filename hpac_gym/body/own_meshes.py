@@ -130,8 +130,8 @@ def _decomposed(path: Path, settings: Mapping[str, Any]) -> list:
     parts = [whole]
     if mesh.volume < _CONVEX * whole.volume:
         coacd.set_log_level("error")
-        remeshed = "preprocess_resolution" in settings and len(mesh.faces) > _MANY_FACES
-        settings = {**settings, "preprocess_mode": "on"} if remeshed else settings
+        if "preprocess_resolution" in settings and len(mesh.faces) > _MANY_FACES:
+            settings = {**settings, "preprocess_mode": "on"}
         with waiting(f"convex parts of {path.name}"):
             convex = coacd.run_coacd(coacd.Mesh(mesh.vertices, mesh.faces), **settings)
         parts = [trimesh.convex.convex_hull(corners) for corners, _ in convex]

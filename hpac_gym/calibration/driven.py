@@ -135,10 +135,10 @@ def record(
         CameraError, BridgeError, RecordError, OutputError: See there.
     """
     writable_file(path)
-    swept: set[tuple[int, int]] = set()
+    swept: set[int] = set()
     if path.exists():
         before = read_sweep(path)
-        swept.update(zip(before.trial.tolist(), before.swept.tolist(), strict=True))
+        swept.update(before.swept[before.trial == trial].tolist())
     with ExitStack() as stack:
         look: Look = dict if angles is None else partial(fresh, angles)
         lens = Lens()
@@ -170,7 +170,7 @@ def record(
                 except CameraError as error:
                     raise CameraError(f"sweep of {servo}: {error}") from None
             grown = added(path, segment)
-            if (trial, SERVO_INDEX[servo]) in swept:
+            if SERVO_INDEX[servo] in swept:
                 swept.clear()  # the others of this run are added to the same file
                 with writing(path):
                     keep(path)

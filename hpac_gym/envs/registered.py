@@ -96,13 +96,14 @@ def _task(row: Registered, options: dict[str, Any]) -> Task:
 
 def _given(row: Registered, options: dict[str, Any]) -> tuple[Task, dict[str, Any], dict[str, Any]]:
     """The task, its own options, and the other ones."""
-    if both := {option.name for option in COMMON}.intersection(_own_options(row)):
+    names = _own_options(row)
+    if both := {option.name for option in COMMON}.intersection(names):
         raise ParameterError(
             f"{row.id}: its task's {min(both)!r} is an option of every environment"
         )
-    own = {name: options.pop(name) for name in _own_options(row) if name in options}
+    own = {name: options.pop(name) for name in names if name in options}
     task = _task(row, own)
-    known = [*_own_options(row), *(option.name for option in _common(task))]
+    known = [*names, *(option.name for option in _common(task))]
     check_names([name for name in options if name not in (*_UNLISTED, *task.unused)], known)
     return task, own, options
 

@@ -191,6 +191,7 @@ class Tendons:
 
     Attributes:
         drives: the five driving tendons, by digit.
+        fastest: largest ω dt of one tendon alone.
     """
 
     def __init__(
@@ -203,7 +204,9 @@ class Tendons:
         strength: ArrayLike = 1.0,
     ) -> None:
         self.hand = hand
-        viscosity, mobility = viscosities(hand, mass_matrix, damping.ratio)
+        viscosity, mobility = viscosities(hand, mass_matrix, 0.5)
+        self.fastest = float((viscosity * mobility).max()) * dt
+        viscosity *= 2 * damping.ratio
         viscosity /= 1 + viscosity * dt * mobility
         rows, stiffness = coupling_rows(hand)
         springs, spring_stiffness = spring_rows(hand)

@@ -96,7 +96,7 @@ class Posture(Task):
     """
 
     endless = True
-    changing = ("_error", "_goals")
+    changing = ("_goals",)
     unused = ("noise",)
     terms = COMMAND_TERMS
     privileged_terms = HAND_TERMS
@@ -140,7 +140,6 @@ class Posture(Task):
                 f"noise {noise}: a posture has no object; its camera has a noise of {CAMERA_NOISE:.3g} rad"
             )
         self.goal = np.zeros((num_worlds, len(JOINTS)))
-        self._error = np.zeros((num_worlds, len(JOINTS)))
         return MarkerCamera(num_worlds, CAMERA_NOISE)
 
     def setup(self, rng: np.random.Generator, hand: Hand = HPAC) -> SceneSetup:
@@ -170,11 +169,8 @@ class Posture(Task):
         return np.full(len(state.time), RUNNING)
 
     def measure(self, achieved: Array, desired: Array) -> None:
-        """Record the error of the measured joint angles from the observed goal, shapes (n, 15)
-        [rad].
-        """
+        """Record the measured joint angles and the observed goal, shapes (n, 15) [rad]."""
         self._goals = achieved, desired
-        self._error = goal_error(achieved, desired)
 
     def sparse_reward(self, now: Moment) -> Array:
         """0 where the posture is reached, −1 elsewhere, shape (n,)."""
@@ -191,14 +187,12 @@ class Posture(Task):
             as_array(achieved, len(JOINTS), "achieved_goal"),
             as_array(desired, len(JOINTS), "desired_goal"),
         )
-        return -error.mean(axis=-1) if dense else self._missed(error)
-
-    def _missed(self, error: Array) -> Array:
-        """−1 where the largest error, over the last axis, is beyond the tolerance, 0 elsewhere."""
+        if dense:
+            return -error.mean(axis=-1)
         return (error.max(axis=-1) <= self.config.tolerance) - 1.0  # a NaN has not reached it
 
     def report(self, now: Moment) -> dict[str, Any]:
-        largest = self._error.max(axis=1)
+        largest = goal_error(*self._goals).max(axis=1)
         return {"is_success": largest <= self.config.tolerance, "largest_error": largest}
 
     def script(self) -> ScriptedPosture:

@@ -201,6 +201,15 @@ def require_own_names(kind: str, terms: Iterable[Term | RewardTerm]) -> None:
         raise ParameterError(f"{kind} has two terms {same!r}: each needs a name of its own")
 
 
+def _require_columns(term: Term, value: Any, rows: int) -> None:
+    """Refuse a value that has not a column for each label of its term."""
+    shape = (rows, len(term.labels))
+    if np.shape(value) != shape:
+        raise ShapeError(
+            f"term {term.name!r} must have shape {shape}, not {np.shape(value)}"
+        ) from None
+
+
 class Layout:
     """Observation vectors of n worlds, defined by a table of terms.
 
@@ -241,11 +250,7 @@ class Layout:
         for term in self._terms:
             if term.fixed:
                 values = np.array([term.value(setup) for setup in setups], np.float32)
-                shape = (len(setups), len(term.labels))
-                if values.shape != shape:
-                    raise ShapeError(
-                        f"term {term.name!r} must have shape {shape}, not {values.shape}"
-                    )
+                _require_columns(term, values, len(setups))
                 self._fixed[term.name][index] = values
 
     def see(self, now: Moment) -> NDArray[np.float32]:
@@ -260,11 +265,7 @@ class Layout:
             np.maximum(seen, self.space.low, out=seen)
         except ValueError:
             for term, part in zip(self._terms, parts, strict=True):
-                shape = len(now.servo), len(term.labels)
-                if np.shape(part) != shape:
-                    raise ShapeError(
-                        f"term {term.name!r} must have shape {shape}, not {np.shape(part)}"
-                    ) from None
+                _require_columns(term, part, len(now.servo))
             raise
         if np.isnan(seen).any():
             bad = next(

@@ -19,7 +19,7 @@ from hpac_gym.physics.engine import HAND_POSITION, PARTS, PhysicsWarning
 from hpac_gym.physics.mechanics import armature_of
 from hpac_gym.physics.pybullet.world import World, quiet_output
 from hpac_gym.physics.settings import HandSettings
-from hpac_gym.physics.tendons import Tendons, viscosities
+from hpac_gym.physics.tendons import Tendons
 
 _SLIDES = ("wrist_x", "wrist_y", "wrist_z")
 _OTHER = 1
@@ -141,24 +141,20 @@ class SimHand:
                     self.body, half_stroke.tolist(), physicsClientId=self._client
                 )
             )
-        inertia = inertia[np.ix_(self._joints, self._joints)]
-        dt = self.world.settings.dt
-        viscosity, mobility = viscosities(hand, inertia, 0.5)
-        fastest = float((viscosity * mobility).max()) * dt
-        if fastest > FASTEST:
+        self.tendons = Tendons(
+            hand,
+            inertia[np.ix_(self._joints, self._joints)],
+            self.world.settings.dt,
+            settings.damping,
+            settings.slack,
+            settings.strength,
+        )
+        if (fastest := self.tendons.fastest) > FASTEST:
             warnings.warn(
                 f"ω dt of the hand's stiffest tendon is {fastest:.2f}: above {FASTEST} joints shiver in PyBullet, not in MuJoCo",
                 PhysicsWarning,
                 stacklevel=2,
             )
-        self.tendons = Tendons(
-            hand,
-            inertia,
-            dt,
-            settings.damping,
-            settings.slack,
-            settings.strength,
-        )
 
     def collide(self, solid: bool) -> None:
         """Enable or disable collisions of the hand. Fingers cannot reach each other, so pairs of
