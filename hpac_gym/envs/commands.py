@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, lru_cache, partial
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -18,9 +18,7 @@ from hpac_gym.model import (
     Hand,
     ServoCommand,
     action_from_synergy,
-    elastic_joints_from_servo,
     load_hand,
-    servo_from_synergy,
     streamed_servo,
 )
 from hpac_gym.model.calibration import Calibration, Friction
@@ -41,11 +39,12 @@ Transmit = Callable[[ServoCommand], ServoCommand]
 class LinkFaults:
     """What becomes of a world's commands on their way to the hand."""
 
-    lost: float
+    lost: float = 0.0
     """Share that never arrives."""
-    late: float
+    late: float = 0.0
     """Share that arrives late, at any time of its control period."""
-    rng: np.random.Generator
+    rng: np.random.Generator | None = None
+    """Draws both; only a faultless link has none."""
 
     def moved(self) -> float:
         """Share of a command's move that its control period sees."""
@@ -70,7 +69,7 @@ class Commands:
         servo: commanded servo angles, shape (n, 6) [rad].
         predicted: joint angles that the model predicts for them, shape (n, 15) [rad].
         last_action: last action on the servos, shape (n, 6).
-        faults: what loses or delays a share of each world's commands; None for a faultless link.
+        faults: what loses or delays a share of each world's commands.
     """
 
     changing = ("servo", "predicted", "last_action", "_arrived", "_flexing", "faults")
@@ -90,10 +89,8 @@ class Commands:
         self.last_action = np.zeros((num_worlds, len(SERVOS)))
         self._arrived = self.servo.copy()
         self._flexing = np.ones((num_worlds, len(SERVOS)), dtype=bool)
-        self.faults: list[LinkFaults | None] = [None] * num_worlds
+        self.faults = [LinkFaults()] * num_worlds
         self._map = CommandMap(model if isinstance(model, Hand) else HPAC, num_worlds)
-        # Most tasks begin with the same posture.
-        self._start_of = lru_cache(maxsize=16)(partial(_start_of, self._map.bounds))
 
     def start(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
         """Begin episodes in some worlds: hands at rest at the synergies of their setups."""
@@ -101,17 +98,14 @@ class Commands:
         self.servo, self.predicted, self.last_action = (
             kept.copy() for kept in (self.servo, self.predicted, self.last_action)
         )
-        for world, setup in zip(worlds, setups, strict=True):
-            start = self._start_of(*setup.synergy.tolist())
-            self.servo[world], self.predicted[world], self.last_action[world] = start
         index = np.asarray(worlds)
-        self._flexing[index] = True
+        synergy = np.stack([setup.synergy for setup in setups])
         if isinstance(self._model, str):
             self._map.take(worlds, [_model(self._model, setup) for setup in setups])
-        if self._map.inverts_files:
-            synergy = np.stack([setup.synergy for setup in setups])
-            self.servo[index] = self._map.servo_from_synergy(synergy, self._flexing[index], index)
-            self.predicted[index] = self._map.joints_from_servo(self.servo, self._flexing)[index]
+        self.last_action[index] = action_from_synergy(synergy, self._map.bounds)
+        self._flexing[index] = True
+        self.servo[index] = self._map.servo_from_synergy(synergy, self._flexing[index], index)
+        self.predicted[index] = self._map.joints_from_servo(self.servo, self._flexing)[index]
         self._arrived[index] = self.servo[index]
 
     def target(self, actions: NDArray) -> Array:
@@ -153,7 +147,7 @@ class Commands:
         self.servo = streamed_servo(self.servo, target, 1.0 / CONTROL_HZ, self._map.bounds)
         arrived = self.servo.copy()
         for world, faults in enumerate(self.faults):
-            share = 1.0 if faults is None else faults.moved()
+            share = faults.moved()
             if self.transmit is not None and share:
                 arrived[world] = self.transmit(self.command).servo
             if share < 1.0:
@@ -179,14 +173,6 @@ class Commands:
     def command(self) -> ServoCommand:
         """Last servo command of world 0, as a bridge sends it to the real hand."""
         return ServoCommand(self.servo[0], 1.0 / CONTROL_HZ)
-
-
-def _start_of(hand: Hand, *synergy: float) -> tuple[Array, Array, Array]:
-    """Servo angles [rad], predicted joint angles [rad] and action of a hand that starts at a
-    synergy [rad].
-    """
-    servo = servo_from_synergy(synergy, hand)
-    return servo, elastic_joints_from_servo(servo, hand), action_from_synergy(synergy, hand)
 
 
 def _model(name: str, setup: SceneSetup) -> Hand:

@@ -5,7 +5,7 @@ classes use it.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -133,7 +133,10 @@ class Episodes:
             setup_rng, camera_rng = rng.spawn(2)
             values = self.randomizations[world].draw(setup_rng)
             setup = changed_setup(_setup(self.task, self.options, setup_rng, own), values)
-            self.commands.faults[world] = _link_faults(values, setup_rng)
+            lost, late = (
+                drawn_value(values, f"{kind}_frames", 0.0) for kind in ("dropped", "late")
+            )
+            self.commands.faults[world] = LinkFaults(lost, late, stream(setup_rng, "losses"))
             self._camera.start(world, setup, drawn_value(values, "sensor_noise", 1.0), camera_rng)
             setups.append(setup)
             drawn.append({name: list(value) for name, value in values.items()})
@@ -256,13 +259,6 @@ def _setup(
     return setup if settings is setup.hand_settings else replace(setup, hand_settings=settings)
 
 
-def _link_faults(values: Mapping[str, Array], rng: np.random.Generator) -> LinkFaults | None:
-    """What is wrong with the link to the hand, for values drawn by the randomization."""
-    lost = drawn_value(values, "dropped_frames", 0.0)
-    late = drawn_value(values, "late_frames", 0.0)
-    return LinkFaults(lost, late, stream(rng, "losses")) if lost or late else None
-
-
 def _judged(outcome: Any, shape: tuple[int, ...]) -> NDArray[np.int_]:
     """What a task's `judge` returned, as an array of its own: `Episodes.reset` writes to it."""
     if np.shape(outcome) != shape or not _JUDGED.issuperset(np.asarray(outcome).tolist()):
@@ -309,16 +305,10 @@ def _check(task: Task, options: Options) -> None:
         raise ParameterError(
             f"phases {task.phases}: ends {task.ends} is not a time of each, in order"
         )
-    if task.goal_terms:
-        kind = type(task).__name__
-        if missing := [name for name in ("measure", "goal_reward") if not hasattr(task, name)]:
-            raise ParameterError(
-                f"{kind} has goal_terms but no {' and '.join(missing)}: make it a subclass of Posture"
-            )
-        if len(task.reward_terms) > 1:
-            raise ParameterError(
-                f"{kind} has goals and {len(task.reward_terms)} reward terms: one is possible, that of goal_reward"
-            )
+    if task.goal_terms and len(task.reward_terms) > 1:
+        raise ParameterError(
+            f"{type(task).__name__} has goals and {len(task.reward_terms)} reward terms: one is possible, that of goal_reward"
+        )
     if options.model == CALIBRATED and task.hands != "test":
         raise ParameterError(
             f"model 'calibrated' is that of held-out hands: it needs hands='test', not {task.hands!r}"

@@ -12,7 +12,7 @@ from hpac_gym.envs.episodes import Episodes, open_episodes, quality
 from hpac_gym.envs.observations import Observation, of_world
 from hpac_gym.envs.options import RENDER_MODES, checked_options, setups_of
 from hpac_gym.envs.randomization import Randomization, randomization
-from hpac_gym.envs.snapshots import restore_episode, save_episode
+from hpac_gym.envs.snapshots import restore, save
 from hpac_gym.errors import EpisodeError, ShapeError
 from hpac_gym.model import ServoCommand
 from hpac_gym.model.checks import Array, as_array
@@ -58,6 +58,7 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self.hand = chosen.hand
         self.model = chosen.model
         self.obs = chosen.obs
+        self.reward = chosen.reward
         self._episodes: Episodes | None = Episodes(task, 1, chosen, transmit, physics)
         self.observation_space = self._episodes.observations.space
         self.action_space = self._episodes.action_space
@@ -169,7 +170,8 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             raise EpisodeError(
                 "a state cannot be saved with transmit: what is at the far end keeps its own"
             )
-        return save_episode(episodes)
+        changing = episodes.simulation.engine.save(0), save(episodes)
+        return episodes.episode, episodes.setups[0], episodes.now, *changing
 
     def restore_state(self, state: Any) -> None:
         """Restore a state from `save_state`, any number of times: the same actions then give the
@@ -179,7 +181,17 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             EpisodeError: The state is of another episode, or of another environment; or after
                 `close`.
         """
-        restore_episode(self.episodes, state)
+        episodes = self.episodes
+        if not isinstance(state, tuple) or state[:1] != (episodes.episode,):
+            raise EpisodeError(
+                "a state can be restored only in the episode that it was saved in, not after another reset()"
+            )
+        _, setup, now, physics, values = state
+        episodes.now = None  # until the end, so that nothing goes on from an interrupted call
+        episodes.setups[0] = setup  # the wrist may have been placed since then
+        episodes.simulation.engine.restore(0, physics)
+        restore(episodes, values)
+        episodes.now = now
 
     def _observe(self) -> Observation:
         return of_world(self._episodes.observe(), 0)
@@ -214,24 +226,16 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self._episodes = None
 
 
-class GoalRewards:
-    """The functions that hindsight replay needs of a task with goals, which are joint angles, shape
-    (..., 15) [rad].
-
-    Args:
-        task: the task.
-        reward: "dense" or "sparse".
+class GoalEnv(HandEnv):
+    """`HandEnv` of a task with goals, which are joint angles, shape (..., 15) [rad], with the functions
+    that hindsight replay needs.
     """
-
-    def __init__(self, task: Task, reward: str) -> None:
-        self._task = task
-        self._dense = reward == "dense"
 
     def compute_reward(
         self, achieved_goal: NDArray, desired_goal: NDArray, info: Any
     ) -> NDArray[np.float64]:
         """Reward of achieved postures for given goals; `info` is ignored."""
-        return self._task.goal_reward(achieved_goal, desired_goal, self._dense)
+        return self.task.goal_reward(achieved_goal, desired_goal, self.reward == "dense")
 
     def compute_terminated(
         self, achieved_goal: NDArray, desired_goal: NDArray, info: Any
@@ -242,13 +246,3 @@ class GoalRewards:
         )[()]
 
     compute_truncated = compute_terminated
-
-
-class GoalEnv(GoalRewards, HandEnv):
-    """`HandEnv` of a task with goals: its `compute_reward`, `compute_terminated` and
-    `compute_truncated` are those of `GoalRewards`.
-    """
-
-    def __init__(self, task: Task, *given: Any, **options: Any) -> None:
-        HandEnv.__init__(self, task, *given, **options)
-        GoalRewards.__init__(self, task, self.episodes.options.reward)

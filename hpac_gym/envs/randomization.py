@@ -137,13 +137,9 @@ def randomization(
     Raises:
         ParameterError: Unknown preset or quantity, or an invalid range.
     """
-    if given is None:
-        return PRESETS["nominal"]
-    if isinstance(given, Randomization):
-        return given
     if isinstance(given, str) and given in PRESETS:
         return PRESETS[given]
-    if not isinstance(given, Mapping):
+    if not isinstance(given, Randomization | Mapping | None):
         raise ParameterError(
             f"randomize must be a preset ({', '.join(PRESETS)}), Randomization or dict of ranges; got {given!r}"
         )

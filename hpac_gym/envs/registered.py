@@ -12,9 +12,9 @@ import gymnasium
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, VectorEnv
 
 from hpac_gym.envs.hand_env import GoalEnv, HandEnv
-from hpac_gym.envs.options import COMMON, check_names, check_number
+from hpac_gym.envs.options import COMMON, check_names
 from hpac_gym.envs.vector_env import HandVectorEnv
-from hpac_gym.envs.vector_infos import check_arguments
+from hpac_gym.envs.vector_infos import check_lengths
 from hpac_gym.errors import ParameterError
 from hpac_gym.registration import IDS, Registered, add_row, row_of
 from hpac_gym.tasks.options import Option, options_of
@@ -71,12 +71,8 @@ def _own_options(row: Registered) -> list[str]:
 
 def _task(row: Registered, options: dict[str, Any]) -> Task:
     task = row.make(**options)
-    missing = [name for name in ("duration", "terms", "reward_terms") if not hasattr(task, name)]
-    if not isinstance(task, Task) or missing:
-        lacks = f"has no {', '.join(missing)}" if missing else "is none"
-        raise ParameterError(
-            f"{row.id} needs a hpac_gym.tasks.task.Task: {type(task).__name__} {lacks}"
-        )
+    if not isinstance(task, Task):
+        raise ParameterError(f"{row.id} needs a hpac_gym.tasks.task.Task, not {task!r}")
     steps = task.control_steps
     limit = row.max_episode_steps
     if limit is None:
@@ -128,8 +124,7 @@ def _many(
         others["max_episode_steps"] = row.max_episode_steps
     if others.get("engine") != "pybullet":
         return HandVectorEnv(task, num_envs, autoreset_mode, **others)
-    check_number("num_envs", num_envs)
-    check_arguments(autoreset_mode, others.get("max_episode_steps"))
+    check_lengths(num_envs, others.get("max_episode_steps"))
     make = partial(_in_process, row, **own, **others)
     # A fork would copy locks held by threads of other libraries, and its child would wait for
     # them for ever.

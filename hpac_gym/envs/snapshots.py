@@ -11,8 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from hpac_gym.errors import EpisodeError
-
 _PLAIN = np.ndarray | np.generic | float | int | str | np.random.Generator
 
 
@@ -31,31 +29,6 @@ def restore(owner: Any, saved: dict[str, Any]) -> None:
             restore(part, value)
         else:
             setattr(owner, name, deepcopy(value))
-
-
-def save_episode(episodes: Any) -> Any:
-    """A snapshot of `Episodes` of one world, which `restore_episode` continues bit-exactly."""
-    engine = episodes.simulation.engine
-    parts = episodes.setups[0], episodes.now, engine.save(0), save(episodes)
-    return episodes.episode, *parts
-
-
-def restore_episode(episodes: Any, snapshot: Any) -> None:
-    """Restore `Episodes` of one world to a snapshot, which is not modified.
-
-    Raises:
-        EpisodeError: The snapshot is none, or of another episode or environment.
-    """
-    if not isinstance(snapshot, tuple) or snapshot[:1] != (episodes.episode,):
-        raise EpisodeError(
-            "a state can be restored only in the episode that it was saved in, not after another reset()"
-        )
-    _, setup, now, physics, values = snapshot
-    episodes.now = None  # until the end, so that nothing goes on from an interrupted call
-    episodes.setups[0] = setup  # the wrist may have been placed since then
-    episodes.simulation.engine.restore(0, physics)
-    restore(episodes, values)
-    episodes.now = now
 
 
 def undeclared(owner: Any, act: Callable[[], object]) -> list[str]:

@@ -10,13 +10,13 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from hpac_gym.envs.episodes import CONTROL_HZ, Episodes, open_episodes
-from hpac_gym.envs.hand_env import GoalRewards, HandEnv
-from hpac_gym.envs.options import RENDER_MODES, check_number, checked_options, setups_of
+from hpac_gym.envs.hand_env import GoalEnv, HandEnv
+from hpac_gym.envs.options import RENDER_MODES, checked_options, setups_of
 from hpac_gym.envs.randomization import randomization
 from hpac_gym.envs.vector_infos import (
     begin,
-    check_arguments,
     check_count,
+    check_lengths,
     mask_of,
     of_last_step,
     of_step,
@@ -75,6 +75,7 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
     Raises:
         TypeError: An unknown option.
         ParameterError: Wrong number of environments or steps, or an option that `HandEnv` refuses.
+        ValueError: Unknown mode.
 
     Attributes:
         slices: slices of an observation vector, by field name.
@@ -93,8 +94,7 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         **options: Any,
     ) -> None:
         self._episodes: Episodes | None = None
-        check_number("num_envs", num_envs)
-        check_arguments(autoreset_mode, max_episode_steps)
+        check_lengths(num_envs, max_episode_steps)
         self.task = task
         self.num_envs = num_envs
         self.render_mode = render_mode
@@ -105,8 +105,8 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         self.hand = chosen.hand
         self.model = chosen.model
         self.obs = chosen.obs
+        self.reward = chosen.reward
         self._episodes = Episodes(task, num_envs, chosen, engine=physics)
-        self._goals = GoalRewards(task, chosen.reward) if task.goal_terms else None
         self.dt = self._episodes.dt
         self.slices = self._episodes.observations.slices
         self.single_action_space = self._episodes.action_space
@@ -118,6 +118,8 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         self._running = False
 
     __reduce_ex__ = HandEnv.__reduce_ex__
+    compute_reward = GoalEnv.compute_reward
+    compute_terminated = compute_truncated = GoalEnv.compute_terminated
     episodes = property(open_episodes)
     # Of every environment, as in Gymnasium's own; the base class has a generator that nothing uses.
     np_random = property(lambda self: tuple(generator for generator, _ in self._seeded))
@@ -137,7 +139,8 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
                 each; and `reset_mask`, shape (n,), to reset only some environments.
 
         Raises:
-            ParameterError: Wrong seeds or mask, or an option that `HandEnv.reset` refuses.
+            ParameterError: Wrong number of seeds, wrong mask, or an option that `HandEnv.reset` refuses.
+            gymnasium.error.Error: A seed that is no whole number from 0 on.
         """
         episodes = self.episodes
         running = self._running and episodes.now is not None
@@ -148,7 +151,7 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         worlds = np.flatnonzero(mask).tolist()
         for world in worlds:
             if seeds[world] is not None:
-                self._seeded[world] = seeding.np_random(int(seeds[world]))
+                self._seeded[world] = seeding.np_random(seeds[world])
         infos: dict[str, Any] = {}
         self._restart(worlds, infos, given)
         self._running = True
@@ -247,12 +250,12 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         Raises:
             AttributeError: Any other name.
         """
-        methods = METHODS if self._goals else METHODS[:1]
+        methods = METHODS if self.task.goal_terms else METHODS[:1]
         require("call", name, *methods, *ATTRIBUTES)
         if name == "render":
             return self.render() or (None,) * self.num_envs
         if name in methods:
-            return (getattr(self._goals, name)(*args, **kwargs),) * self.num_envs
+            return (getattr(self, name)(*args, **kwargs),) * self.num_envs
         return self.get_attr(name)
 
     def close_extras(self, **_: Any) -> None:

@@ -4,7 +4,6 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from hpac_gym.envs.episodes import Episodes, quality
@@ -72,18 +71,15 @@ def of_last_step(episodes: Episodes, over: Mask, terminated: Mask, add: Add) -> 
     return ended | of_step(episodes, ~over, np.zeros_like(terminated), add)
 
 
-def check_arguments(autoreset_mode: AutoresetMode | str, max_episode_steps: int | None) -> None:
-    """Refuse arguments of a vector environment.
+def check_lengths(num_envs: int, max_episode_steps: int | None) -> None:
+    """Refuse the numbers of environments and of steps of a vector environment.
 
     Raises:
-        ParameterError: Unknown mode, or a number of steps that is no whole number from 1 on.
+        ParameterError: One is no whole number from 1 on; `max_episode_steps` may be None.
     """
+    check_number("num_envs", num_envs)
     if max_episode_steps is not None:
         check_number("max_episode_steps", max_episode_steps)
-    if autoreset_mode not in list(AutoresetMode) + [mode.value for mode in AutoresetMode]:
-        raise ParameterError(
-            f"autoreset_mode {autoreset_mode!r} is not one of {[mode.value for mode in AutoresetMode]}"
-        )
 
 
 def mask_of(
@@ -110,16 +106,13 @@ def seeds_of(seed: int | Sequence[int | None] | None, num_envs: int) -> Sequence
     """One seed per environment, given by the first of consecutive seeds or one by one.
 
     Raises:
-        ParameterError: Wrong number of seeds, or one that is no whole number from 0 on.
+        ParameterError: Wrong number of seeds.
     """
     if seed is None:
         return [None] * num_envs
     if isinstance(seed, int | np.integer):
-        seed = range(seed, seed + num_envs)
-    seeds = seed if np.ndim(seed) else [seed]
-    for one in seeds:
-        if one is not None and not (isinstance(one, int | np.integer) and one >= 0):
-            raise ParameterError(f"seed {one!r} must be a whole number of at least 0, or None")
+        return range(seed, seed + num_envs)
+    seeds = np.atleast_1d(seed).tolist()
     check_count("seeds", seeds, num_envs)
     return seeds
 

@@ -166,7 +166,7 @@ def test_after_an_interrupted_step_only_a_reset_or_a_saved_state_goes_on(monkeyp
     expected = env.step(still)
     advance = "physics.simulation.Simulation.advance"
     interrupted(monkeypatch, env, advance, lambda: env.step(still))
-    interrupted(monkeypatch, env, "envs.snapshots.restore", lambda: env.restore_state(state))
+    interrupted(monkeypatch, env, "envs.hand_env.restore", lambda: env.restore_state(state))
     env.restore_state(state)
     assert data_equivalence(env.step(still), expected, exact=True)
     interrupted(monkeypatch, env, "envs.wrists.Wrists.start", lambda: env.reset(seed=0))
