@@ -127,10 +127,10 @@ def test_mass_and_friction_are_not_seen(obs):
 
 
 def test_a_horn_that_stays_behind_tells_an_object_from_none(opened):
-    """Held digits of 60 closures; the commands and the horns of ideal servos cannot tell."""
-    env = opened(gymnasium.make_vec(ID, num_envs=60, engine="mujoco", obs="load"))
+    """Held digits of 30 closures; the commands and the horns of ideal servos cannot tell."""
+    env = opened(gymnasium.make_vec(ID, num_envs=30, engine="mujoco", obs="load"))
     episodes = env.unwrapped.episodes
-    actions = np.random.default_rng(0).uniform(-0.3, 0.9, (60, 6))
+    actions = np.random.default_rng(0).uniform(-0.3, 0.9, (30, 6))
     found = []
     for there in (True, False):
         env.reset(seed=5000)
@@ -138,7 +138,7 @@ def test_a_horn_that_stays_behind_tells_an_object_from_none(opened):
             away = [
                 replace(s, position=s.position + np.array([0, 0, 5.0])) for s in episodes.setups
             ]
-            episodes._begin(range(60), away)
+            episodes._begin(range(30), away)
         for _ in range(24):
             episodes.step(actions)
         behind = 0.1 * episodes.observe()[:, env.unwrapped.slices["horn_lag"]][:, :5]
@@ -149,7 +149,7 @@ def test_a_horn_that_stays_behind_tells_an_object_from_none(opened):
     clear = (np.abs(free_lag) < 0.02) & (outcome == 0)[:, None]
     held = clear & (free_root - root > 0.03)
     told = lag - free_lag > 0.01
-    assert held.sum() > 60
+    assert held.sum() > 30
     assert told[held].mean() > 0.99
     np.testing.assert_array_equal(horn, free_horn)
 
@@ -157,13 +157,13 @@ def test_a_horn_that_stays_behind_tells_an_object_from_none(opened):
 @pytest.mark.parametrize("options", [{"hands": "train"}, {"hands": "test", "model": "calibrated"}])
 def test_horn_lag_hides_the_servo_zeros(options, opened):
     """Of a hand that keeps still only pulling tendons hold horns back."""
-    env = opened(gymnasium.make_vec(ID, num_envs=32, engine="mujoco", obs="load", **options))
+    env = opened(gymnasium.make_vec(ID, num_envs=8, engine="mujoco", obs="load", **options))
     env.reset(seed=0)
     episodes = env.unwrapped.episodes
     for _ in range(11):
         episodes.step(episodes.commands.last_action)
     lag = 0.1 * episodes.observe()[:, env.unwrapped.slices["horn_lag"]]
-    lag[:, :5] -= episodes._camera._behind(episodes.now.state, np.arange(32))
+    lag[:, :5] -= episodes._camera._behind(episodes.now.state, np.arange(8))
     zero = np.array([setup.hand_settings.servo_zero for setup in episodes.setups])
     assert np.abs(zero).max() > 0.05
     np.testing.assert_allclose(lag, 0.0, atol=ServoSenses().horn_step)
@@ -257,7 +257,7 @@ def depths_at_the_start(objects, count, hands, nominal=False):
 @pytest.mark.parametrize(
     ("objects", "count"),
     [
-        ("real", 64),
+        ("real", 24),
         *(pytest.param(split, 256, marks=pytest.mark.slow) for split in ("train", "test", "real")),
     ],
 )

@@ -72,7 +72,11 @@ def held_by(env, seed: int) -> tuple[set[str], float]:
 
 @pytest.mark.pybullet  # most closures were found in PyBullet
 @pytest.mark.parametrize(
-    "name", [*NAMES[::2], *(pytest.param(name, marks=pytest.mark.slow) for name in NAMES[1::2])]
+    "name",
+    [
+        pytest.param(name, marks=[] if place % 4 == 0 else pytest.mark.slow)
+        for place, name in enumerate(NAMES)
+    ],
 )
 def test_what_the_text_names_holds_the_object_and_crushes_nothing(name: str):
     """In most of three episodes each of `HOLDING` touches it, and the forces add up to less than 80
@@ -89,7 +93,6 @@ def test_what_the_text_names_holds_the_object_and_crushes_nothing(name: str):
 @pytest.mark.parametrize(
     ("name", "seeds", "least"),
     [
-        ("rod", range(6), 4),
         ("tip_pinch", range(6), 4),
         *(pytest.param(name, range(200, 220), 12, marks=pytest.mark.slow) for name in NAMES),
     ],
@@ -104,8 +107,8 @@ def test_scripted_closure_beats_random_actions(name: str, seeds: range, least: i
 
 @pytest.mark.parametrize("name", ["press", "scissors", "tape_roll"])
 def test_closures_searched_in_both_engines_hold_in_mujoco(name: str):
-    episodes = run_block(["scripted"], ID, {"grasp": name}, range(200, 220))
-    assert sum(episode.success for (episode,) in episodes) >= 18
+    episodes = run_block(["scripted"], ID, {"grasp": name}, range(200, 210))
+    assert sum(episode.success for (episode,) in episodes) >= 9
 
 
 @pytest.mark.slow

