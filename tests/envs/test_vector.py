@@ -2,7 +2,6 @@
 `make_vec` makes.
 """
 
-import os
 import signal
 import warnings
 from dataclasses import replace
@@ -21,7 +20,6 @@ from hpac_gym.envs.episodes import open_episodes
 from hpac_gym.errors import ParameterError, ShapeError, WorkspaceError
 from hpac_gym.model import elastic_joints_from_servo, servo_from_action, streamed_servo
 from hpac_gym.physics.engine import PhysicsWarning
-from hpac_gym.physics.simulation import ENGINES
 from hpac_gym.registration import GENTLE, GRASP, GRASP_ANY, GRASP_TYPE, IDS, PICK_PLACE, POSTURE
 from hpac_gym.tasks.grasp import GraspConfig
 from tests.envs.episodes import EASY, check_stopped
@@ -77,10 +75,7 @@ def envs(opened):
         ),
         (GRASP, {"grasp": "tip_pinch"}, AutoresetMode.DISABLED),
         (PICK_PLACE, {"randomize": "link"}, AutoresetMode.NEXT_STEP),
-        *(
-            (name, {"obs": obs}, AutoresetMode.SAME_STEP)
-            for name, obs in ((GRASP, "image"), (POSTURE, "privileged"))
-        ),
+        (POSTURE, {"obs": "privileged"}, AutoresetMode.SAME_STEP),
     ],
     ids=str,
 )
@@ -112,7 +107,7 @@ def test_everything_is_as_in_gymnasiums_own_over_the_ends_of_short_episodes(
     ("engine", "reward", "mode"),
     [
         *(("mujoco", "dense", mode) for mode in AutoresetMode),
-        ("pybullet", "sparse", AutoresetMode.SAME_STEP),
+        pytest.param("pybullet", "sparse", AutoresetMode.SAME_STEP, marks=pytest.mark.slow),
     ],
     ids=str,
 )
@@ -147,10 +142,7 @@ def test_everything_is_as_in_gymnasiums_own_over_the_ends_of_whole_episodes(
         (GRASP_ANY, {"wrist": "free", "obs": "load"}, 1.0),
         (GRASP_TYPE, {}, 0.0),
         (GENTLE, {"obs": "load"}, 0.1),
-        *(
-            (GRASP_ANY, {"hands": "test", "objects": "real", "model": model}, 1.0)
-            for model in ("calibrated", "hand")
-        ),
+        (GRASP_ANY, {"hands": "test", "objects": "real", "model": "calibrated"}, 1.0),
     ],
     ids=str,
 )
@@ -162,13 +154,13 @@ def test_free_wrists_contacts_forces_and_models_are_as_in_gymnasiums_own(
     scripts = [twins[0].task.script() for _ in range(3)]
     rng = np.random.default_rng(0)
     seen = same(twins, "reset", seed=5)
-    for _ in range(50):
+    for _ in range(35):
         action = np.array([script.act(row) for script, row in zip(scripts, seen[0], strict=True)])
         action = np.clip(action + noise * rng.uniform(-1, 1, action.shape), -1, 1)
         seen = same(twins, "step", action)
 
 
-@pytest.mark.parametrize("num_envs", [2, 7, 64])
+@pytest.mark.parametrize("num_envs", [2, 64])
 @pytest.mark.parametrize(
     ("function", "low", "high"),
     [
@@ -212,13 +204,15 @@ def test_seeds_and_generators_are_told_as_by_gymnasiums_own(envs, opened):
 
 
 def test_pictures_are_those_of_single_environments(opened):
-    mine = opened(ours(render_mode="rgb_array"))
-    env = opened(gymnasium.make(GRASP, render_mode="rgb_array"))
-    mine.reset(seed=0)
-    env.reset(seed=2)
+    options = {"render_mode": "rgb_array", "obs": "image"}
+    mine = opened(ours(num_envs=2, **options))
+    env = opened(gymnasium.make(GRASP, **options))
+    (seen, _) = mine.reset(seed=0)
+    (alone, _) = env.reset(seed=1)
+    np.testing.assert_array_equal(seen["image"][1], alone["image"])
     frames = mine.render()
-    assert len(frames) == 3
-    np.testing.assert_array_equal(frames[2], env.render())
+    assert len(frames) == 2
+    np.testing.assert_array_equal(frames[1], env.render())
 
 
 def test_a_refused_action_is_named_as_alone_with_its_environment_and_the_rest_goes_on(envs):
@@ -308,26 +302,17 @@ def test_without_autoreset_a_step_after_the_end_is_refused(opened):
         {"max_episode_steps": 2.5},
         {"max_episode_steps": np.nan},
         {"max_episode_steps": "5"},
+        {"max_episode_steps": -1, "engine": "pybullet"},
+        {"transmit": None},
     ],
     ids=str,
 )
 def test_a_wrong_option_is_named_at_once(make, options):
     with pytest.raises(
         (ValueError, LookupError, TypeError),
-        match=r"nonsense|options grasp|(num_envs|max_episode_steps) = (0|2\.5|True|nan|'5') must be a whole number",
+        match=r"nonsense|options (grasp|transmit)|(num_envs|max_episode_steps) = (0|2\.5|True|nan|'5'|-1) must be a whole number",
     ):
         make(**{"num_envs": 2} | options)
-
-
-@pytest.mark.parametrize("engine", ENGINES)
-def test_no_batch_is_endless(engine):
-    with pytest.raises(ParameterError, match="max_episode_steps = -1 must be a whole number of at"):
-        ours(POSTURE, 2, engine=engine, max_episode_steps=-1)
-
-
-def test_a_batch_has_no_wire():
-    with pytest.raises(TypeError, match="transmit"):
-        HandVectorEnv(Grasp(), transmit=None)
 
 
 @pytest.mark.parametrize(
@@ -430,21 +415,17 @@ def test_wrappers_of_single_environments_and_of_the_whole_batch(opened):
 
 
 @pytest.mark.pybullet
-@pytest.mark.parametrize(
-    "end", ["os.kill(os.getpid(), signal.SIGKILL)", "raise SystemExit", "envs.close()"]
-)
-def test_the_processes_end_with_their_parent(end):
+def test_the_processes_end_with_their_parent():
     script = (
         "import os, signal, gymnasium\n"
         "if __name__ == '__main__':\n"
         "    envs = gymnasium.make_vec('hpac_gym:HPAC-Grasp-v0', num_envs=1, engine='pybullet')\n"
         "    envs.reset(seed=0)\n"
         "    print(*[process.pid for process in envs.processes], flush=True)\n"
-        f"    {end}\n"
+        "    os.kill(os.getpid(), signal.SIGKILL)\n"
     )
     done = python("-c", script)
     processes = [int(word) for word in done.stdout.split()]
     assert len(processes) == 1, done.stderr
-    assert done.returncode == (-signal.SIGKILL if "kill" in end else 0)
+    assert done.returncode == -signal.SIGKILL
     wait_for_the_end(processes)
-    assert os.getpid() not in processes
