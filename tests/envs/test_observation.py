@@ -3,19 +3,16 @@
 from itertools import islice
 
 import numpy as np
-import pytest
 
 from hpac_gym.envs import Grasp, HandEnv, ScriptedClosure
 from hpac_gym.envs.observations import IMAGE_SIZE
-from hpac_gym.model import HPAC, elastic_joints_from_servo
+from hpac_gym.model import elastic_joints_from_servo
 from hpac_gym.tasks.cameras import CameraNoise
 from hpac_gym.tasks.grip import MAX_SLIP
-from hpac_gym.tasks.privileged import FORCE_UNIT, SPEED_UNIT
 from hpac_gym.tasks.terms import GRASP_CENTRE, LENGTH_UNIT, Layout
 from tests.envs.episodes import EASY, a_setup, part, steps
 
 TERMS = Grasp().terms
-EVERYTHING = (*TERMS, *Grasp.privileged_terms)
 DEPLOYED = Layout(TERMS, 1).space.shape[0]
 STEADY = CameraNoise(position=0.0, angle=0.0, size=0.0)
 
@@ -78,39 +75,6 @@ def test_all_three_show_the_same_episode_and_a_picture_changes_with_the_hand():
     assert first.dtype == np.uint8
     assert first.std() > 10
     assert np.abs(first.astype(int) - last).mean() > 2
-
-
-def test_the_privileged_part_is_the_state_of_the_simulation():
-    with HandEnv(Grasp(), obs="privileged") as env:
-        seen, states = episode(env, seed=2)
-        setup = env.episodes.setups[0]
-    wanted = {
-        "true_joint_pos": lambda s: s.joint_pos,
-        "true_joint_vel": lambda s: s.joint_vel / SPEED_UNIT,
-        "horn": lambda s: s.horn,
-        "tension": lambda s: s.tension / FORCE_UNIT,
-        "contact_force": lambda s: s.contact_force / FORCE_UNIT,
-        "true_object_pos": lambda s: (s.object_pos - GRASP_CENTRE) / LENGTH_UNIT,
-        "object_vel": lambda s: s.object_vel,
-        "object_spin": lambda s: s.object_spin / SPEED_UNIT,
-        "supported": lambda s: s.supported,
-        "true_object_up": lambda s: s.object_rotation[:, :, 2],
-        "true_object_side": lambda s: s.object_rotation[:, :, 0],
-    }
-    bounds = {term.name: (term.low, term.high) for term in EVERYTHING}
-    for observation, state in zip(seen, states, strict=True):
-        for name, value in wanted.items():
-            expected = np.clip(np.ravel(value(state)), *bounds[name])
-            np.testing.assert_allclose(
-                part(observation, EVERYTHING, name), expected, atol=1e-6, err_msg=name
-            )
-    last = seen[-1]
-    assert part(last, EVERYTHING, "object_mass")[0] == pytest.approx(setup.object.mass)
-    assert part(last, EVERYTHING, "object_friction")[0] == pytest.approx(
-        0.9 * setup.object.friction
-    )
-    assert max(part(row, EVERYTHING, "tension").max() for row in seen) > 0
-    assert np.all(part(last, EVERYTHING, "horn") <= HPAC.servo_max + 1e-6)
 
 
 def test_slip_starts_when_the_hand_begins_to_carry_and_epsilon_comes_at_the_end():

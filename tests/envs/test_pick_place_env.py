@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from hpac_gym.envs import HandEnv, PickPlace, ScriptedClosure, ScriptedPickPlace
-from hpac_gym.tasks.pick_place import PHASES, PickPlaceConfig, PickPlaceTimetable
+from hpac_gym.tasks.pick_place import PickPlaceConfig, PickPlaceTimetable
 from hpac_gym.tasks.terms import GRASP_CENTRE, LENGTH_UNIT
 from tests.envs.episodes import OPEN, Still, part, run
 
@@ -64,13 +64,6 @@ def test_a_push_counts_to_the_end_of_the_closing(env):
     close = round(PickPlaceTimetable().ends[1] * 20)
     pushed = [env.step(OPEN)[-1]["reward_terms"]["push"] for _ in range(close)]
     np.testing.assert_allclose(pushed, -0.3 * 0.02 / PickPlaceConfig().drop_distance, atol=0.02)
-
-
-def test_the_four_phases_come_in_order(scripted):
-    names = [info["phase"] for info in scripted[2][0]]
-    assert sorted(names, key=PHASES.index) == names
-    assert set(names) == set(PHASES)
-    assert len(names) == round(PickPlaceTimetable().ends[-1] * 20)
 
 
 def test_an_open_hand_does_not_touch_the_object_on_its_way(env):

@@ -1,6 +1,6 @@
 """What randomize= draws, from which streams, and what it does to the simulated hand."""
 
-import dataclasses
+from dataclasses import fields, replace
 from itertools import islice
 
 import numpy as np
@@ -14,9 +14,7 @@ from hpac_gym.physics.supports import support_boxes
 from hpac_gym.tasks.placing import BOARD
 from tests.envs.episodes import steps
 
-BOUNDS = {
-    quantity.name: quantity.metadata["bounds"] for quantity in dataclasses.fields(Randomization)
-}
+BOUNDS = {quantity.name: quantity.metadata["bounds"] for quantity in fields(Randomization)}
 
 
 def setup_of(seed: int = 0):
@@ -32,7 +30,7 @@ def test_nominal_is_the_default_and_draws_nothing():
 def test_a_quantity_more_changes_no_other_draw():
     rng = np.random.default_rng(0)
     few = Randomization(slack=(0.0, 1e-3), servo_lag=(0.0, 0.1))
-    more = dataclasses.replace(
+    more = replace(
         few, object_mass=(0.8, 1.2), joint_friction=(0.0, 0.01), dropped_frames=(0.0, 0.1)
     )
     drawn = few.draw(rng)
@@ -99,12 +97,12 @@ def test_the_simulated_hand_has_what_was_drawn():
         assert after.tendon_stiffness == pytest.approx(0.8 * before.tendon_stiffness)
         assert after.drive_stiffness == pytest.approx(0.8 * before.drive_stiffness)
     settings = changed.hand_settings
-    assert settings.slack == (1e-3,) * 5
-    assert settings.joint_friction == 0.01
-    assert settings.contact_friction == pytest.approx(0.45)
+    assert (settings.slack, settings.joint_friction) == ((1e-3,) * 5, 0.01)
     assert (settings.servo.lag, settings.servo.dead_band) == (0.1, 0.03)
-    assert changed.object.mass == pytest.approx(2 * setup.object.mass)
-    assert changed.object.friction == pytest.approx(1.5 * setup.object.friction)
+    assert settings.contact_friction == pytest.approx(0.5 * setup.hand_settings.contact_friction)
+    usual = setup.object
+    expected = replace(usual, mass=2 * usual.mass, friction=1.5 * usual.friction)
+    assert changed.object == expected
 
 
 @pytest.mark.parametrize("fault", ["dropped_frames", "late_frames"])
@@ -178,7 +176,7 @@ def test_the_physics_stays_stable_at_the_ends_of_every_range(corner, opened):
     )
     env.reset(
         seed=0,
-        options={"setup": dataclasses.replace(setup_of(), position=np.array([0.2, 0.0, 0.3]))},
+        options={"setup": replace(setup_of(), position=np.array([0.2, 0.0, 0.3]))},
     )
     for _ in range(22):
         env.step(np.array([0.2, 1, 1, 1, 1, 0.5], np.float32))
