@@ -7,7 +7,7 @@ import gymnasium
 import numpy as np
 import pytest
 
-from hpac_gym.errors import ParameterError, WorkspaceError
+from hpac_gym.errors import WorkspaceError
 from hpac_gym.model import HPAC, JOINT_INDEX, SERVOS, hand_to_toml
 from hpac_gym.model.calibration import Calibration
 from hpac_gym.policies.loading import load_policy
@@ -90,19 +90,6 @@ def test_a_refused_action_leaves_no_trace_in_the_commands_of_a_calibrated_model(
                     env.unwrapped.step(action)
             seen.append([env.unwrapped.step(np.zeros(6))[0] for _ in range(3)])
     np.testing.assert_array_equal(*seen)
-
-
-@pytest.mark.parametrize(
-    ("options", "says"),
-    [
-        ({"model": 3}, "model 3 is neither a Hand nor the path of a hand file"),
-        ({"model": "no_such.toml"}, "no_such.toml"),
-        ({"model": "calibrated"}, "it needs hands='test', not 'nominal'"),
-    ],
-)
-def test_a_wrong_model_is_refused_in_one_line(options, says):
-    with pytest.raises((ParameterError, OSError), match=says):
-        gymnasium.make("HPAC-GraspAny-v1", engine="mujoco", **options)
 
 
 def test_the_zeros_of_a_hand_file_are_simulated_and_the_same_file_as_a_model_takes_them_out():

@@ -30,10 +30,6 @@ OBVIOUS = ScriptedPosture(near=0.0)
 """Asks for the goal's own synergy."""
 
 
-def test_the_obvious_action_reaches_nine_goals_in_ten(env):
-    assert sum(reached(env, seed) for seed in range(20)) >= 18
-
-
 def test_goals_lie_on_the_manifold_of_the_hand(env):
     for seed in range(20):
         goal = env.reset(seed=seed)[0]["desired_goal"]
@@ -57,11 +53,11 @@ def test_no_goal_is_drawn_that_the_index_finger_blocks(monkeypatch):
         assert not any(reached(env, seed) for seed in UNREACHABLE)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("engine", ENGINES)
-def test_the_obvious_action_reaches_every_goal(engine):
+@pytest.mark.parametrize("count", [10, pytest.param(200, marks=pytest.mark.slow)])
+def test_the_obvious_action_reaches_every_goal(engine, count):
     with gymnasium.make(ID, engine=engine, randomize="nominal") as env:
-        assert all(reached(env, seed) for seed in range(200))
+        assert all(reached(env, seed) for seed in range(count))
 
 
 def test_an_integral_controller_passes_the_constant_action_where_the_hand_is_another_one(opened):

@@ -2,13 +2,10 @@
 bit.
 """
 
-from functools import partial
-
 import gymnasium
 import numpy as np
 import pytest
 
-from hpac_gym.envs import Grasp, HandEnv
 from hpac_gym.envs.snapshots import undeclared
 from hpac_gym.errors import EpisodeError
 from hpac_gym.physics.simulation import ENGINES
@@ -145,33 +142,3 @@ def test_everything_that_changes_in_an_episode_is_declared(name, options):
         env.reset(seed=5)
         actions = closing(env, 60, np.random.default_rng(3))
         assert undeclared(env.unwrapped.episodes, lambda: told(env, actions)) == []
-
-
-class Forgetful(Grasp):
-    """A task that counts its steps and does not say so."""
-
-    def prepare(self, num_worlds, noise):
-        self.count = [0] * num_worlds
-        return super().prepare(num_worlds, noise)
-
-    def judge(self, state, dt):
-        self.count = [steps + 1 for steps in self.count]
-        return super().judge(state, dt)
-
-
-class Mindful(Forgetful):
-    changing = (*Forgetful.changing, "count")
-
-
-@pytest.mark.parametrize("kind", [tuple, list])
-def test_a_task_that_forgets_a_part_of_its_state_is_refused(opened, kind, monkeypatch):
-    monkeypatch.setattr(Mindful, "changing", kind(Mindful.changing))
-    for task, forgotten in ((Forgetful(), ["task.count"]), (Mindful(), [])):
-        env = opened(HandEnv(task, engine="mujoco"))
-        env.reset(seed=0)
-        step = partial(env.step, np.zeros(6))
-        assert undeclared(env.episodes, step) == forgotten
-        saved = env.save_state()
-        step()
-        env.restore_state(saved)
-        assert (task.count[0] == 1) == (not forgotten)
