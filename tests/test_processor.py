@@ -41,11 +41,17 @@ def test_there_are_such_tests():
     assert {path.name for path in FILES} >= {"test_gate.py", "test_trained.py"}
 
 
-@pytest.mark.parametrize("left_out", [LONGEST, pytest.param("nothing", marks=pytest.mark.slow)])
-def test_the_same_tests_pass_with_the_rounding_of_an_old_processor(left_out, old_processor):
+@pytest.mark.parametrize(
+    ("which", "left_out"),
+    [
+        ("processor and not slow", LONGEST),
+        pytest.param("processor", "nothing", marks=pytest.mark.slow),
+    ],
+)
+def test_the_same_tests_pass_with_the_rounding_of_an_old_processor(which, left_out, old_processor):
     """All in one process, since loading the packages takes as long as some of the tests."""
     names = [str(path.relative_to(ROOT)) for path in FILES]
-    chosen = ["-m", "processor and not slow", "-k", f"not ({left_out})"]
+    chosen = ["-m", which, "-k", f"not ({left_out})"]
     done = python("-m", "pytest", *names, "-rA", *chosen, "-p", "no:cacheprovider", **old_processor)
     assert done.returncode == 0, done.stdout[-3000:]
     passed = [line for line in done.stdout.splitlines() if line.startswith("PASSED")]

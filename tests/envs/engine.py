@@ -12,58 +12,45 @@ import gymnasium
 import numpy as np
 import pybullet
 
-from hpac_gym.model import DIGITS, JOINTS
-from hpac_gym.physics.pybullet.hand import SimHand
-from tests.envs.stories import State
+from hpac_gym.model import DIGITS
+from hpac_gym.physics.pybullet.scene import DISTANCE, Scene
+from tests.envs.stories import Story
 
 
-def sim_hand(env: gymnasium.Env) -> SimHand:
-    """The simulated hand of an environment that has been reset."""
-    return env.unwrapped.episodes.simulation.engine.scenes[0].hand
+def scene_of(env: gymnasium.Env) -> Scene:
+    """The PyBullet world of an environment that has been reset."""
+    return env.unwrapped.episodes.simulation.engine.scenes[0]
 
 
-class Bodies:
-    """The bodies of an environment's world: the hand has joints, the object has a mass, everything
-    else is fixed.
-    """
+def touching(scene: Scene) -> bool:
+    """Whether the hand touches the object or itself."""
+    others = [scene.hand.body, *([scene.object.body] if scene.object else [])]
+    found = (
+        pybullet.getContactPoints(scene.hand.body, other, physicsClientId=scene.world.client)
+        for other in others
+    )
+    return any(contact[DISTANCE] <= 0 for contacts in found for contact in contacts)
 
-    def __init__(self, env: gymnasium.Env) -> None:
-        self.client = sim_hand(env).world.client
-        bodies = sorted(
-            pybullet.getBodyUniqueId(index, self.client)
-            for index in range(pybullet.getNumBodies(self.client))
-        )
-        self.hand, *others = sorted(
-            bodies, key=lambda body: -pybullet.getNumJoints(body, self.client)
-        )
-        free = [body for body in others if pybullet.getDynamicsInfo(body, -1, self.client)[0] > 0]
-        self.object = free[0] if free else None
-        self.fixed = [body for body in others if body not in free]
 
-    def touching(self) -> bool:
-        """Whether the hand touches the object or itself."""
-        others = [self.hand] if self.object is None else [self.hand, self.object]
-        found = (
-            pybullet.getContactPoints(self.hand, other, physicsClientId=self.client)
-            for other in others
-        )
-        return any(contact[8] <= 0 for contacts in found for contact in contacts)
+def simple(env: gymnasium.Env) -> bool:
+    """Whether the object is one sphere or one box, or there is none."""
+    scene = scene_of(env)
+    if scene.object is None:
+        return True
+    client = scene.world.client
+    shapes = pybullet.getCollisionShapeData(scene.object.body, -1, physicsClientId=client)
+    return len(shapes) == 1 and shapes[0][2] in (pybullet.GEOM_SPHERE, pybullet.GEOM_BOX)
 
-    def simple(self) -> bool:
-        """Whether the object is one sphere or one box, or there is none."""
-        if self.object is None:
-            return True
-        shapes = pybullet.getCollisionShapeData(self.object, -1, physicsClientId=self.client)
-        return len(shapes) == 1 and shapes[0][2] in (pybullet.GEOM_SPHERE, pybullet.GEOM_BOX)
 
-    def pin(self) -> None:
-        """Fix the object where it is; it has no mass from then on."""
-        if self.object is not None:
-            pybullet.changeDynamics(self.object, -1, mass=0, physicsClientId=self.client)
+def pin(env: gymnasium.Env) -> None:
+    """Fix the object where it is; it has no mass from then on."""
+    scene = scene_of(env)
+    if scene.object:
+        pybullet.changeDynamics(scene.object.body, -1, mass=0, physicsClientId=scene.world.client)
 
 
 @contextmanager
-def watching_for_touch(bodies: Bodies) -> Iterator[Callable[[], bool]]:
+def watching_for_touch(env: gymnasium.Env) -> Iterator[Callable[[], bool]]:
     """Whether the hand has touched the object or itself in any physics step since the block
     began.
     """
@@ -72,7 +59,7 @@ def watching_for_touch(bodies: Bodies) -> Iterator[Callable[[], bool]]:
 
     def watched(*arguments: Any, **named: Any) -> None:
         step(*arguments, **named)
-        seen.append(bodies.touching())
+        seen.append(touching(scene_of(env)))
 
     with patch.object(pybullet, "stepSimulation", watched):
         yield lambda: any(seen)
@@ -80,37 +67,37 @@ def watching_for_touch(bodies: Bodies) -> Iterator[Callable[[], bool]]:
 
 def flick(env: gymnasium.Env, joint: str, speed: float) -> None:
     """Give one joint a speed [rad/s]."""
-    hand = sim_hand(env)
-    client = sim_hand(env).world.client
-    index = hand.joint_index[joint]
-    angle = pybullet.getJointState(hand.body, index, physicsClientId=client)[0]
-    pybullet.resetJointState(hand.body, index, angle, speed, physicsClientId=client)
+    scene = scene_of(env)
+    body = scene.hand.body
+    index = scene.hand.joint_index[joint]
+    client = scene.world.client
+    angle = pybullet.getJointState(body, index, physicsClientId=client)[0]
+    pybullet.resetJointState(body, index, angle, speed, physicsClientId=client)
 
 
 @contextmanager
-def told(env: gymnasium.Env, story: Callable[[float], State]) -> Iterator[None]:
+def told(env: gymnasium.Env, story: Story) -> Iterator[None]:
     """Replace the engine's results by a story. The wrist follows its motors' targets without delay.
 
     Args:
         env: environment that has been reset.
-        story: function of the time since the reset [s] that gives the state.
+        story: gives the state by the time since the reset [s].
     """
-    bodies = Bodies(env)
-    client = bodies.client
-    dt = pybullet.getPhysicsEngineParameters(client)["fixedTimeStep"]
-    info = [
-        pybullet.getJointInfo(bodies.hand, index, client)
-        for index in range(pybullet.getNumJoints(bodies.hand, client))
-    ]
-    joint_of = {row[0]: JOINTS.index(row[1].decode()) for row in info if row[1].decode() in JOINTS}
-    slides = {row[0]: 0.0 for row in info if row[2] == pybullet.JOINT_PRISMATIC}
+    scene = scene_of(env)
+    hand = scene.hand
+    client = scene.world.client
+    dt = scene.world.settings.dt
+    slides = dict.fromkeys(hand._slides, 0.0)
+    joint_of = {index: joint for joint, index in enumerate(hand._joints)}
+    links = hand.link_index.items()
     link_of = {
-        part: next(row[0] for row in info if row[12].decode().startswith(part))
+        part: next(link for name, link in links if name.startswith(part))
         for part in ("palm", *DIGITS)
     }
-    hand_turn = pybullet.getBasePositionAndOrientation(bodies.hand, client)[1]
-    rotation = np.reshape(pybullet.getMatrixFromQuaternion(hand_turn), (3, 3))
-    start, turn = pybullet.getBasePositionAndOrientation(bodies.object, client)
+    count = pybullet.getNumBodies(client)
+    bodies = {pybullet.getBodyUniqueId(index, client) for index in range(count)}
+    fixed = sorted(bodies - {hand.body, scene.object.body})
+    start, turn = pybullet.getBasePositionAndOrientation(scene.object.body, client)
     motors = pybullet.setJointMotorControlArray
     steps = 0
     now = story(0.0)
@@ -122,7 +109,7 @@ def told(env: gymnasium.Env, story: Callable[[float], State]) -> Iterator[None]:
         steps = steps + 1
         now = story(steps * dt)
         before = wrist
-        wrist = rotation @ list(slides.values())
+        wrist = hand._rotation @ list(slides.values())
         way = way + (wrist - before) * now.carried
 
     def control(body: int, joints: list[int], mode: int, **named: Any) -> None:
@@ -155,10 +142,8 @@ def told(env: gymnasium.Env, story: Callable[[float], State]) -> Iterator[None]:
             outward = np.array([np.cos(2.4 * place), np.sin(2.4 * place), 0.2 * place - 0.3])
             outward /= np.linalg.norm(outward)
             point = centre + 0.02 * outward
-            rows.append(
-                (0, item, bodies.hand, -1, link_of[part], point, point, -outward, 0.0, force)
-            )
-        for met, support in ((now.supported, bodies.fixed[0]), (now.placed, bodies.fixed[-1])):
+            rows.append((0, item, hand.body, -1, link_of[part], point, point, -outward, 0.0, force))
+        for met, support in ((now.supported, fixed[0]), (now.placed, fixed[-1])):
             if met:
                 rows.append((0, item, support, -1, -1, start, start, (0, 0, 1), 0.0, 1.0))
         return rows

@@ -141,11 +141,6 @@ def restless(env: gymnasium.Env, first: Any, rng: np.random.Generator) -> Iterat
 # ------------------------------------------------------------------------------------------------------------------
 
 
-def flat(observation: Any) -> np.ndarray:
-    """An observation as one vector of float64."""
-    return np.concatenate(leaves(observation))
-
-
 def leaves(observation: Any) -> list[np.ndarray]:
     """The vectors of an observation; pictures are scaled to 0…1."""
     if isinstance(observation, dict):
@@ -295,13 +290,12 @@ class Case:
             if watch:
                 watched = nullcontext(lambda: bool(env.unwrapped.state.touching.any()))
         elif pinned or watch or self.story:
-            from tests.envs.engine import Bodies, told, watching_for_touch
+            from tests.envs.engine import pin, told, watching_for_touch
 
-            bodies = Bodies(env)
             if pinned:
-                bodies.pin()
+                pin(env)
             if watch:
-                watched = watching_for_touch(bodies)
+                watched = watching_for_touch(env)
             if self.story:
                 retold = told(env, self.story)
         episode = Episode([leaves(observation)], [], [numbers(info)])
@@ -519,15 +513,10 @@ def digest(env: gymnasium.Env, case: Case, steps: int = 30) -> str:
     return hashlib.sha256(case.play(env, case.seeds[0], steps).bits()).hexdigest()
 
 
-def simple(env: gymnasium.Env) -> bool:
-    """Whether the object is one sphere or one box, or there is none, in PyBullet."""
-    from tests.envs.engine import Bodies
-
-    return Bodies(env).simple()
-
-
 def taken(case: Case) -> list[dict[str, Any]]:
     """New entry of the file for a case."""
+    from tests.envs.engine import simple
+
     rows = []
     with case.make() as env:
         for seed in case.seeds:

@@ -7,6 +7,7 @@ follow each story: the object is held and slips slowly, is released, is knocked 
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from types import SimpleNamespace
 
 import numpy as np
 
@@ -19,33 +20,6 @@ GRIP = {"thumb": 6.0, "index": 3.0, "middle": 2.5, "palm": 1.5}
 """Normal forces of a grip [N]."""
 Span = tuple[float, float]
 NEVER: Span = (np.inf, np.inf)
-
-
-@dataclass(frozen=True)
-class State:
-    """State that a physics engine reports."""
-
-    joint_pos: Vector
-    """Shape (15,) [rad]."""
-    joint_vel: Vector
-    """Shape (15,) [rad/s]."""
-    forces: dict[str, float]
-    """Normal force between the object and each part of the hand that touches it [N]."""
-    slipped: Vector
-    """Displacement of the object in the world, less that by which it was carried, shape (3,) [m].
-    """
-    tilt: float
-    """Rotation of the object about the world's x axis [rad]."""
-    velocity: Vector
-    """Velocity of the object, shape (3,) [m/s]."""
-    spin: Vector
-    """Angular velocity of the object, shape (3,) [rad/s]."""
-    carried: bool
-    """True while the object moves with the wrist."""
-    supported: bool
-    """True while the object touches the post on which it started."""
-    placed: bool
-    """True while the object touches the body that was added last, the post of its target."""
 
 
 def within(time: float, *spans: Span) -> bool:
@@ -70,11 +44,16 @@ class Story:
     between, shape (3,) [m].
     """
 
-    def __call__(self, time: float) -> State:
-        """The state at a time [s]."""
+    def __call__(self, time: float) -> SimpleNamespace:
+        """The state at a time [s]: angles [rad] and speeds [rad/s] of the joints, normal forces on the
+        parts of the hand that touch the object [N]; of the object its displacement in the world, less
+        that by which it was carried [m], rotation about the world's x axis [rad], velocity [m/s] and
+        spin [rad/s]; and whether it moves with the wrist, touches the post on which it started, or
+        the body that was added last, the post of its target.
+        """
         phase = 2 * np.pi * SWING * time
         share = time % 1
-        return State(
+        return SimpleNamespace(
             joint_pos=0.5 * (1 - np.cos(phase)),
             joint_vel=np.pi * SWING * np.sin(phase),
             forces={part: force * (1 + share) for part, force in GRIP.items()}
