@@ -12,10 +12,8 @@ import pytest
 
 from hpac_gym.envs import GraspTypeSetup
 from hpac_gym.errors import ParameterError
-from hpac_gym.evaluation.evaluate import evaluate
 from hpac_gym.model import HPAC
 from hpac_gym.physics.simulation import ENGINES
-from hpac_gym.policies.policy import EpisodePolicy
 from hpac_gym.tasks.arrival import START, WRIST_CENTRE, WRIST_REACH, WRIST_TURN
 from hpac_gym.tasks.grasp_type_data import GRASP_TYPES, HELD_OUT_TYPES
 from hpac_gym.tasks.grasp_types import LOOK_EVERY, SETTLES
@@ -25,7 +23,6 @@ from tools.tables import DOCS
 
 ID = "HPAC-GraspType-v0"
 make = partial(gymnasium.make, ID)
-ONE_CLOSURE = "hpac_gym.policies.baselines:one_closure:rod"
 
 
 class Changed(Script):
@@ -210,81 +207,3 @@ def test_contacts_are_looked_at_often_enough_to_judge_a_hold_and_no_oftener(monk
     times = env.unwrapped.task.timetable.ends
     # The last one is of the grasp's quality.
     assert looks.call_count == (round(20 * (times[3] - times[1])) - 1) // LOOK_EVERY + 3
-
-
-class Behaviour(EpisodePolicy):
-    """An action at each step, made of the script's actions of the episode."""
-
-    def __init__(self, env: gymnasium.Env, name: str) -> None:
-        self.task = env.unwrapped.task
-        self.behaves = BEHAVIOURS[name]
-
-    def _act(self, observation, memory):
-        path, step = memory or (None, 0)
-        if path is None:
-            script = self.task.script()
-            path = [script.act(observation) for _ in range(64)]
-        return np.asarray(self.behaves(path, step), np.float32), (path, step + 1)
-
-
-BEHAVIOURS = {
-    "keeps its preshape": lambda path, step: path[0],
-    "arrives open and stays open": lambda path, step: [*[-1.0] * 6, *path[0][6:]],
-    "closes every digit fully": lambda path, step: path[0] if step == 0 else np.ones(12),
-    "closes without the thumb": lambda path, step: [path[0][0], *path[step][1:5], *path[0][5:]],
-    "closes by half": lambda path, step: path[min(step, 8)],
-    "closes after the lift has begun": lambda path, step: path[max(step - 26, 0)],
-    "opens before the lift": lambda path, step: path[step if step < 22 else 0],
-    "opens after the shake": lambda path, step: path[step if step < 54 else 0],
-    "opens and closes every second": lambda path, step: path[
-        round(8 - 8 * np.cos(2 * np.pi * step / 20))
-    ],
-    "trembles": lambda path, step: path[step if step < 16 else 16 - 6 * (step % 2)],
-    "stays 3 cm away": lambda path, step: np.minimum(
-        path[step] + 0.03 / WRIST_REACH * (np.arange(12) == 6), 1
-    ),
-    "arrives in the object": lambda path, step: np.maximum(
-        path[step] - 0.5 * (np.arange(12) == 6), -1
-    ),
-}
-"""Action at a step, made of the script's actions of the episode."""
-
-
-@pytest.fixture(scope="module")
-def honest():
-    return paid_for("scripted")
-
-
-def paid_for(policy: str) -> tuple[np.ndarray, np.ndarray]:
-    """Returns and successes of 48 training episodes of a policy, which are printed as a row of the
-    page's table.
-    """
-    (episodes,) = evaluate(
-        [policy], ID, 48, seed_start=0, options={"engine": "mujoco"}
-    ).episodes.values()
-    paid, won = (
-        np.array([getattr(one, name) for one in episodes]) for name in ("total_reward", "success")
-    )
-    ends = paid[~won].max(initial=-np.inf), paid[won].min(initial=np.inf)
-    print(
-        "",
-        policy.rpartition(":")[2],
-        f"{paid.mean():.1f}",
-        won.sum(),
-        *(f"{end:.1f}" for end in ends),
-        "",
-        sep=" | ",
-    )
-    return paid, won
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "policy", [*(f"{__name__}:Behaviour:{name}" for name in BEHAVIOURS), ONE_CLOSURE]
-)
-def test_no_behaviour_is_paid_as_well_as_the_script_and_no_failure_as_well_as_a_success(
-    policy, honest
-):
-    paid, won = paid_for(policy)
-    assert paid.mean() < honest[0].mean() - 1
-    assert paid[~won].max() < min(paid[won].min(initial=np.inf), honest[0][honest[1]].min())
