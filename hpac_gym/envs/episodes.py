@@ -13,12 +13,10 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from hpac_gym.envs.commands import Commands, LinkFaults, Transmit
-from hpac_gym.envs.observations import Observation, Observations
+from hpac_gym.envs.commands import Commands, LinkFaults, Transmit, Wrists
+from hpac_gym.envs.observations import Observation, Observations, Pictures
 from hpac_gym.envs.options import CALIBRATED, Options
-from hpac_gym.envs.pictures import Pictures
-from hpac_gym.envs.randomization import changed_setup, drawn_value, stream
-from hpac_gym.envs.wrists import Wrists
+from hpac_gym.envs.randomization import changed_setup, stream
 from hpac_gym.errors import EpisodeError, ParameterError, ShapeError
 from hpac_gym.model import HPAC, SERVOS
 from hpac_gym.model.checks import Array
@@ -133,13 +131,12 @@ class Episodes:
             setup_rng, camera_rng = rng.spawn(2)
             values = self.randomizations[world].draw(setup_rng)
             setup = changed_setup(_setup(self.task, self.options, setup_rng, own), values)
-            lost, late = (
-                drawn_value(values, f"{kind}_frames", 0.0) for kind in ("dropped", "late")
-            )
+            lost = values.get("dropped_frames", 0.0)
+            late = values.get("late_frames", 0.0)
             self.commands.faults[world] = LinkFaults(lost, late, stream(setup_rng, "losses"))
-            self._camera.start(world, setup, drawn_value(values, "sensor_noise", 1.0), camera_rng)
+            self._camera.start(world, setup, values.get("sensor_noise", 1.0), camera_rng)
             setups.append(setup)
-            drawn.append({name: list(value) for name, value in values.items()})
+            drawn.append({name: np.atleast_1d(value).tolist() for name, value in values.items()})
         self._begin(worlds, setups)
         self.outcome[np.asarray(worlds)] = RUNNING
         self.terms = {}

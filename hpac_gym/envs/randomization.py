@@ -8,6 +8,7 @@ a quantity does not change the draws of the others."""
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from types import MappingProxyType
+from typing import Any
 from zlib import crc32
 
 import numpy as np
@@ -88,13 +89,15 @@ class Randomization:
     def __post_init__(self) -> None:
         check_bounds(self, "randomization")
 
-    def draw(self, rng: np.random.Generator) -> Mapping[str, Array]:
-        """Values of one episode, by name; quantities with their default range are left out."""
+    def draw(self, rng: np.random.Generator) -> dict[str, Any]:
+        """Values of one episode, by name: a number each, or an array of several; quantities with their
+        default range are left out.
+        """
         found = {}
         for quantity in fields(self):
             bounds = getattr(self, quantity.name)
             if bounds != quantity.default:
-                draws = quantity.metadata.get("draws", 1)
+                draws = quantity.metadata.get("draws")
                 found[quantity.name] = stream(rng, quantity.name).uniform(*bounds, draws)
         return found
 
@@ -163,7 +166,7 @@ def changed_hand(hand: Hand, factors: Array) -> Hand:
     return replace(hand, digits=digits)
 
 
-def changed_setup(setup: SceneSetup, values: Mapping[str, Array]) -> SceneSetup:
+def changed_setup(setup: SceneSetup, values: Mapping[str, Any]) -> SceneSetup:
     """A setup with drawn values applied."""
     if not values:
         return setup
@@ -173,37 +176,32 @@ def changed_setup(setup: SceneSetup, values: Mapping[str, Array]) -> SceneSetup:
         hand = changed_hand(hand, values["tendon_stiffness"])
     servo = replace(
         settings.servo,
-        lag=drawn_value(values, "servo_lag", settings.servo.lag),
-        dead_band=drawn_value(values, "dead_band", settings.servo.dead_band),
+        lag=values.get("servo_lag", settings.servo.lag),
+        dead_band=values.get("dead_band", settings.servo.dead_band),
     )
     settings = replace(
         settings,
         servo=servo,
         slack=tuple(values["slack"].tolist()) if "slack" in values else settings.slack,
-        joint_friction=drawn_value(values, "joint_friction", settings.joint_friction),
-        contact_friction=settings.contact_friction * drawn_value(values, "skin_friction", 1.0),
+        joint_friction=values.get("joint_friction", settings.joint_friction),
+        contact_friction=settings.contact_friction * values.get("skin_friction", 1.0),
     )
     if setup.object is None:
         return replace(setup, hand=hand, hand_settings=settings)
     spec = replace(
         setup.object,
-        mass=setup.object.mass * drawn_value(values, "object_mass", 1.0),
-        friction=setup.object.friction * drawn_value(values, "object_friction", 1.0),
+        mass=setup.object.mass * values.get("object_mass", 1.0),
+        friction=setup.object.friction * values.get("object_friction", 1.0),
     )
     offset = np.concatenate([[0.0], values.get("object_position", np.zeros(2))])
     changed = replace(
         setup,
         object=spec,
         position=setup.position + offset,
-        yaw=setup.yaw + drawn_value(values, "object_yaw", 0.0),
+        yaw=setup.yaw + values.get("object_yaw", 0.0),
         hand=hand,
         hand_settings=settings,
     )
     # A post follows its object by itself, a board does not.
     lies = setup.support is not None and setup.support.half_width == placing.BOARD_HALF_WIDTH
     return placing.on_something(changed, stand=False) if lies else changed
-
-
-def drawn_value(values: Mapping[str, Array], name: str, nominal: float) -> float:
-    """The value of a quantity that is one number; the nominal one if it was not drawn."""
-    return float(values[name][0]) if name in values else nominal

@@ -166,7 +166,7 @@ def test_after_an_interrupted_step_only_a_reset_or_a_saved_state_goes_on(monkeyp
     interrupted(monkeypatch, env, "envs.hand_env.restore", lambda: env.restore_state(state))
     env.restore_state(state)
     assert data_equivalence(env.step(still), expected, exact=True)
-    interrupted(monkeypatch, env, "envs.wrists.Wrists.start", lambda: env.reset(seed=0))
+    interrupted(monkeypatch, env, "envs.commands.Wrists.start", lambda: env.reset(seed=0))
     with pytest.raises(EpisodeError, match="only in the episode"):
         env.restore_state(state)
     env.reset(seed=0)
