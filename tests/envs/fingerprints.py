@@ -268,7 +268,6 @@ class Case:
         env: gymnasium.Env,
         seed: int,
         limit: int = NEVER,
-        disturbance: float = 0.0,
         watch: bool = False,
         pinned: bool = False,
     ) -> Episode:
@@ -278,7 +277,6 @@ class Case:
             env: the environment.
             seed: seed of the episode.
             limit: largest number of steps.
-            disturbance: added to all actions.
             watch: end the episode at the first touch.
             pinned: fix the object where it starts.
         """
@@ -303,7 +301,7 @@ class Case:
         actions = self.policy(env, observation, np.random.default_rng([seed, 5]))
         with retold, watched as touched:
             while not over and len(episode.rewards) < limit:
-                action = np.clip(next(actions) + disturbance, -1, 1)
+                action = np.clip(next(actions), -1, 1)
                 observation, reward, terminated, truncated, info = env.step(whole(env, action))
                 episode.observations.append(leaves(observation))
                 episode.rewards.append(float(reward))
@@ -458,7 +456,6 @@ def parts(
     seed: int,
     touch: int | None,
     touched: bool,
-    disturbance: float = 0.0,
 ) -> dict[str, Any]:
     """The means of an episode before and after the first touch.
 
@@ -468,34 +465,23 @@ def parts(
         seed: seed of the episode.
         touch: index of the first observation after a touch; None without a touch.
         touched: include the steps after the touch.
-        disturbance: added to all actions.
     """
-    free = case.play(
-        env,
-        seed,
-        NEVER if touch is None else touch - 1,
-        disturbance=disturbance,
-        pinned=case.story is None,
-    )
+    limit = NEVER if touch is None else touch - 1
+    free = case.play(env, seed, limit, pinned=case.story is None)
     found = {"free": free.means(range(len(free.observations)))}
     if touched:
         rows = range(touch, touch + TOUCHED_STEPS)
-        found["touched"] = case.play(env, seed, rows[-1], disturbance=disturbance).means(rows)
+        found["touched"] = case.play(env, seed, rows[-1]).means(rows)
     return found
 
 
-def found_now(env: gymnasium.Env, case: Case, disturbance: float = 0.0) -> list[dict[str, Any]]:
-    """The fingerprints of the episodes that the file keeps of a case."""
-    return [
-        parts(case, env, then["seed"], then["touch"], "touched" in then, disturbance)
-        for then in kept()[case.name]
-    ]
-
-
-def differences(case: Case, disturbance: float = 0.0, **fault: Any) -> list[str]:
+def differences(case: Case, **fault: Any) -> list[str]:
     """What of a case's fingerprint differs from the file's, optionally with a fault."""
     with case.make(**fault) as env:
-        found = found_now(env, case, disturbance)
+        found = [
+            parts(case, env, then["seed"], then["touch"], "touched" in then)
+            for then in kept()[case.name]
+        ]
     return [
         f"seed {then['seed']}, {part}: {name} is {values}, was {then[part][name]}"
         for then, now in zip(kept()[case.name], found, strict=True)

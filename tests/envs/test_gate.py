@@ -195,30 +195,6 @@ def test_every_fingerprint_in_the_file_is_compared():
     assert sum("touched" in row for row in rows) > 40
 
 
-TOUCHING = [
-    case for case in CASES if case.on_mujoco or any("touched" in row for row in kept()[case.name])
-]
-
-
-FIRST = ("HPAC-Grasp-v0", "HPAC-Grasp-v0/mujoco/privileged")
-
-
-# The pass with another rounding plays the slow ones too, but for variants.
-@pytest.mark.parametrize(
-    "case",
-    marked(TOUCHING, (pytest.mark.slow, lambda case: case.name not in FIRST), PYBULLET),
-    ids=lambda case: case.name,
-)
-def test_a_million_times_as_much_as_rounding_changes_no_fingerprint(case):
-    """A disturbance of every action by 1e-9; and where an object stands by 1e-12, a thousand times
-    as much as rounding.
-    """
-    assert differences(case, disturbance=1e-9) == []
-    if case.id != POSTURE and "randomize" not in case.options:
-        moved = Randomization(object_position=(1e-12, 1e-12))
-        assert differences(case, randomize=moved) == []
-
-
 FOLLOW = Grip.follow
 
 
