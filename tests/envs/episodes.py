@@ -10,6 +10,7 @@ from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.errors import EpisodeError
 from hpac_gym.physics.engine import SceneSetup
 from hpac_gym.tasks.scripted import Script
+from hpac_gym.tasks.task import CONTROL_HZ
 from hpac_gym.tasks.terms import Layout
 
 EASY = SceneSetup(
@@ -33,6 +34,18 @@ class Still(Script):
 
     def act(self, observation):
         return self.action
+
+
+class Opens(Script):
+    """Acts as another script does until a time [s], and then opens the hand."""
+
+    def __init__(self, script: Script, at: float) -> None:
+        self.script = script
+        self.at = at
+
+    def act(self, observation):
+        self._time += 1 / CONTROL_HZ
+        return (self.script if self._time <= self.at else Still()).act(observation)
 
 
 def a_setup(**change) -> SceneSetup:

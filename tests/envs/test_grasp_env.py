@@ -13,7 +13,7 @@ from hpac_gym.tasks.arrival import points_in_object
 from hpac_gym.tasks.grip import MAX_SLIP
 from hpac_gym.tasks.occlusion import SKIN
 from hpac_gym.tasks.phases import Timetable, wrist_table
-from tests.envs.episodes import Still, a_setup, run, steps
+from tests.envs.episodes import Opens, Still, a_setup, run, steps
 
 ID = "HPAC-Grasp-v0"
 
@@ -34,18 +34,6 @@ def lifted(env):
     ][1:]
 
 
-class Opens(ScriptedClosure):
-    """Closes, and opens at a time [s]."""
-
-    def __init__(self, at: float) -> None:
-        super().__init__()
-        self._at = at
-
-    def act(self, observation):
-        action = super().act(observation)
-        return action if self._time <= self._at else Still().act(observation)
-
-
 def test_scripted_closure_lifts_an_easy_cylinder(lifted):
     (*_, last), _ = lifted[-1]
     assert last["is_success"]
@@ -64,9 +52,9 @@ def test_an_open_hand_leaves_the_object_on_its_post_and_fails(env):
     ("policy", "change", "phases", "steps"),
     [
         (ScriptedClosure(), {"friction": 0.02, "mass": 1.0}, {"lift", "shake"}, 64),
-        (Opens(1.2), {}, {"lift", "shake"}, 38),
-        (Opens(1.8), {}, {"shake"}, 50),
-        (Opens(2.5), {}, {"shake", "place"}, 64),
+        (Opens(ScriptedClosure(), 1.2), {}, {"lift", "shake"}, 38),
+        (Opens(ScriptedClosure(), 1.8), {}, {"shake"}, 50),
+        (Opens(ScriptedClosure(), 2.5), {}, {"shake", "place"}, 64),
     ],
     ids=["a slippery, heavy object", "opens in the lift", "opens in the shake", "opens at its end"],
 )

@@ -150,25 +150,18 @@ def test_only_the_first_action_moves_the_wrist_and_shapes_the_hand_at_once():
         assert env.unwrapped.episodes.setups[0] is setup
 
 
-def test_a_policy_is_told_its_type_in_every_step_and_the_rule_s_numbers():
+def test_a_policy_is_told_its_type_in_every_step():
     with make() as env:
-        task = env.unwrapped.task
-        slices = env.unwrapped.slices
-        seen = {}
+        place = env.unwrapped.slices["type"]
+        told = set()
         for seed in range(40):
-            observation, _ = env.reset(seed=seed)
-            told = observation[slices["type"]]
-            assert told.sum() == 1
-            name = env.unwrapped.episodes.setups[0].grasp
-            assert list(GRASP_TYPES)[told.argmax()] == name
-            rule = GRASP_TYPES[name].rule
-            np.testing.assert_allclose(observation[slices["asked_parts"]], rule.asked_parts)
-            np.testing.assert_allclose(observation[slices["asked"]], rule.asked, atol=1e-6)
-            seen[name] = observation
+            observation, info = env.reset(seed=seed)
+            assert observation[place].sum() == 1
+            assert list(GRASP_TYPES)[observation[place].argmax()] == info["type"]
+            told.add(info["type"])
         after, *_ = env.step(env.action_space.sample())
-        np.testing.assert_array_equal(after[slices["type"]], observation[slices["type"]])
-        assert len(seen) > 10
-        assert sum(len(term.labels) for term in task.terms) == env.observation_space.shape[0]
+    np.testing.assert_array_equal(after[place], observation[place])
+    assert len(told) > 10
 
 
 def test_what_the_page_says_by_hand_has_the_numbers_of_the_code():

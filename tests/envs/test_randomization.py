@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hpac_gym.envs import GoalEnv, Grasp, GraspAny, HandEnv, Posture, ScriptedClosure
-from hpac_gym.envs.randomization import PRESETS, Randomization, changed_setup, stream
+from hpac_gym.envs.randomization import PRESETS, Randomization, changed_setup
 from hpac_gym.errors import ParameterError
 from hpac_gym.model import HPAC
 from hpac_gym.physics.supports import support_boxes
@@ -38,25 +38,6 @@ def test_a_quantity_more_changes_no_other_draw():
     assert set(drawn) == {"slack", "servo_lag"}
     for name, values in drawn.items():
         np.testing.assert_array_equal(values, drawn_more[name])
-
-
-def test_a_stream_does_not_depend_on_what_its_parent_has_drawn():
-    rng = np.random.default_rng(4)
-    first = stream(rng, "slack").random(3)
-    rng.random(10)
-    rng.spawn(2)
-    np.testing.assert_array_equal(stream(rng, "slack").random(3), first)
-    assert not np.array_equal(stream(rng, "servo_lag").random(3), first)
-
-
-def test_the_task_draws_the_same_episode_with_and_without_randomization():
-    with HandEnv(Grasp()) as plain, HandEnv(Grasp(), randomize="full") as full:
-        plain.reset(seed=3)
-        full.reset(seed=3)
-        one = plain.episodes.setups[0].object
-        other = full.episodes.setups[0].object
-    assert one.half_extents == other.half_extents
-    assert one.mass != other.mass
 
 
 @pytest.mark.parametrize("name", BOUNDS)

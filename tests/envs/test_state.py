@@ -93,13 +93,10 @@ def test_a_state_of_another_episode_or_environment_is_refused(opened):
     other.reset(seed=0)
     state = env.save_state()
     env.restore_state(state)
-    with pytest.raises(EpisodeError, match="only in the episode"):
-        other.restore_state(state)
     env.reset(seed=0)
-    with pytest.raises(EpisodeError, match="only in the episode"):
-        env.restore_state(state)
-    with pytest.raises(EpisodeError, match="only in the episode"):
-        env.restore_state(None)
+    for refused, given in ((other, state), (env, state), (env, None)):
+        with pytest.raises(EpisodeError, match="only in the episode"):
+            refused.restore_state(given)
     env.close()
     with pytest.raises(EpisodeError, match="closed"):
         env.restore_state(state)

@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import data_equivalence
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
-from gymnasium.wrappers import ClipAction, FlattenObservation
-from gymnasium.wrappers.vector import ClipAction as VectorClip, FlattenObservation as VectorFlatten
+from gymnasium.wrappers.vector import FlattenObservation as VectorFlatten
 
 from hpac_gym.envs import Grasp, HandVectorEnv
 from hpac_gym.envs.episodes import open_episodes
@@ -21,7 +20,6 @@ from hpac_gym.errors import ParameterError, ShapeError, WorkspaceError
 from hpac_gym.model import elastic_joints_from_servo, servo_from_action, streamed_servo
 from hpac_gym.physics.engine import PhysicsWarning
 from hpac_gym.registration import GENTLE, GRASP, GRASP_ANY, GRASP_TYPE, IDS, PICK_PLACE, POSTURE
-from hpac_gym.tasks.grasp import GraspConfig
 from tests.envs.episodes import EASY, check_stopped
 from tests.processes import python, wait_for_the_end
 
@@ -252,6 +250,7 @@ def test_a_failed_simulation_ends_its_episode_as_a_failure_and_the_others_go_on(
         seen, rewards, terminated, truncated, infos = envs.step(action)
     expected = alone.step(action)
     assert terminated.tolist() == [False, True, False]
+    assert name == POSTURE or rewards[1] < expected[1][1] - 1
     assert not truncated.any()
     assert not infos["is_success"].any()
     assert np.isfinite(seen).all()
@@ -261,19 +260,6 @@ def test_a_failed_simulation_ends_its_episode_as_a_failure_and_the_others_go_on(
     fail(envs, 1)  # whose episode has ended
     with warnings.catch_warnings(action="error"):
         assert not envs.step(action)[2].any()
-
-
-def test_a_failed_simulation_ends_the_episode_of_a_single_environment():
-    with gymnasium.make(GRASP, engine="mujoco") as env:
-        env.reset(seed=0)
-        fail(env, 0)
-        with pytest.warns(PhysicsWarning, match="world 0 of 1 failed"):
-            _, reward, terminated, _, info = env.step(np.zeros(6))
-        assert terminated
-        assert info["outcome"] == "failure"
-        assert reward < GraspConfig().weights.failure / 2
-        env.reset(seed=0)
-        env.step(np.zeros(6))
 
 
 def test_without_autoreset_a_step_after_the_end_is_refused(opened):
@@ -399,19 +385,6 @@ def test_make_vec_makes_one_vector_environment_with_the_limit_of_the_id(options,
     for _ in range(40):
         *_, truncated, _ = with_limit.step(actions(2)[0])
     assert truncated.all()
-
-
-def test_wrappers_of_single_environments_and_of_the_whole_batch(opened):
-    """Gymnasium's `make_vec` takes `wrappers` in its own two modes alone."""
-    options = {"engine": "mujoco", "num_envs": 2}
-    wrappers = [ClipAction, FlattenObservation]
-    each = opened(
-        gymnasium.make_vec(POSTURE, vectorization_mode="sync", wrappers=wrappers, **options)
-    )
-    whole = opened(VectorFlatten(VectorClip(gymnasium.make_vec(POSTURE, **options))))
-    for envs in (each, whole):
-        envs.reset(seed=0)
-    assert_same(*(envs.step(np.full((2, 6), 1.5, np.float32))[:4] for envs in (each, whole)))
 
 
 @pytest.mark.pybullet
