@@ -17,14 +17,13 @@ from gymnasium.utils.env_checker import data_equivalence
 from gymnasium.wrappers import TimeAwareObservation
 
 from hpac_gym.body.objects import ObjectSpec
-from hpac_gym.envs import GoalEnv, Grasp, GraspAnyConfig, HandEnv, HandVectorEnv, Posture
+from hpac_gym.envs import GoalEnv, Grasp, HandEnv, HandVectorEnv, Posture
 from hpac_gym.envs.options import COMMON
 from hpac_gym.envs.randomization import Randomization
 from hpac_gym.envs.registered import options_of_id
 from hpac_gym.errors import EpisodeError, HpacError, ParameterError, ShapeError, WorkspaceError
 from hpac_gym.model import HPAC
 from hpac_gym.physics.engine import SceneSetup
-from hpac_gym.physics.settings import WorldSettings
 from hpac_gym.registration import GENTLE, GRASP, GRASP_ANY, GRASP_TYPE, IDS, PICK_PLACE, POSTURE
 from hpac_gym.tasks.cameras import CameraNoise
 from hpac_gym.tasks.grasp_setups import GraspConfig, GraspWeights
@@ -90,7 +89,7 @@ def test_an_id_takes_the_defaults_of_its_table_and_no_other_option(name):
         gymnasium.make(name, **{o.name: o.default for o in OPTIONS[name]}) as given,
     ):
         assert data_equivalence(given.reset(seed=0)[0], plain.reset(seed=0)[0])
-    for other in ("task", "max_steps", "workers"):
+    for other in ("task", "max_steps", "workers", "world"):
         with pytest.raises(TypeError, match=other):
             gymnasium.make(name, **{other: None})
     taken = {option.name for option in OPTIONS[name]}
@@ -98,12 +97,6 @@ def test_an_id_takes_the_defaults_of_its_table_and_no_other_option(name):
     for other in others:
         with pytest.raises((TypeError, ParameterError), match=other):
             gymnasium.make(name, **{other: CameraNoise(0, 0, 0) if other == "noise" else None})
-
-
-@pytest.mark.parametrize("make", [HandEnv, HandVectorEnv])
-def test_what_no_environment_offers_is_refused_too(make):
-    with pytest.raises(TypeError, match="unknown options world: there are hand, model"):
-        make(Grasp(), world=WorldSettings())
 
 
 @pytest.mark.parametrize("make", [gymnasium.make, gymnasium.make_vec])
@@ -569,14 +562,6 @@ def test_a_config_is_taken_where_it_says_nothing_of_the_object():
     gymnasium.make(GRASP, object=OWN, config={"gap": [0.0, 0.01]}).close()
 
 
-@pytest.mark.parametrize("kind", [GraspConfig, GraspAnyConfig])
-def test_a_configs_own_settings_may_be_mappings_of_some_of_their_fields(kind):
-    usual = kind()
-    given = kind(timetable={"close_time": 2.0}, weights={"success": 20.0})
-    assert given.timetable == replace(usual.timetable, close_time=2.0)
-    assert given.weights == replace(usual.weights, success=20.0)
-
-
 RANGES = Randomization(servo_lag=(0.0, 0.1), slack=(0.0, 1e-3))
 TIMES = {"timetable": {"close_time": 1.0}, "weights": {"success": 3.0}}
 
@@ -633,9 +618,12 @@ def test_ranges_noise_and_config_survive_json_and_give_the_same_episode(name, gi
 def test_what_is_given_counts():
     """A config, and a noise, that only looked as if they were taken."""
     with gymnasium.make(
-        "HPAC-Grasp-v0", noise={"size": 0, "angle": 0, "position": 0}, config={"mass": [0.3, 0.3]}
+        "HPAC-Grasp-v0",
+        noise={"size": 0, "angle": 0, "position": 0},
+        config={"mass": [0.3, 0.3], "timetable": {"close_time": 1.0}},
     ) as env:
         observation, _ = env.reset(seed=0)
+        assert env.unwrapped.task.config.timetable == Timetable(close_time=1.0)
         assert env.unwrapped.episodes.setups[0].object.mass == 0.3
         centre = (env.unwrapped.state.object_pos[0] - GRASP_CENTRE) / LENGTH_UNIT
         np.testing.assert_allclose(

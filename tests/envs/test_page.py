@@ -6,6 +6,7 @@ import re
 import time
 import urllib.error
 import urllib.request
+from unittest.mock import patch
 
 import gymnasium
 import numpy as np
@@ -18,20 +19,13 @@ BROWSER = urllib.request.build_opener(urllib.request.ProxyHandler({}))
 
 
 @pytest.fixture
-def told(monkeypatch):
-    """Every picture that a page is told to show."""
-    pictures = []
-    show = HandPage.show
-
-    def noting(page, shown):
-        pictures.append(shown)
-        show(page, shown)
-
-    monkeypatch.setattr(HandPage, "show", noting)
-    return pictures
+def show():
+    """`HandPage.show`, which notes what it is told to show."""
+    with patch.object(HandPage, "show", autospec=True, side_effect=HandPage.show) as noting:
+        yield noting
 
 
-def test_the_page_shows_each_step_while_the_hand_moves_in_real_time(told, monkeypatch, capsys):
+def test_the_page_shows_each_step_while_the_hand_moves_in_real_time(show, monkeypatch, capsys):
     monkeypatch.delenv("DISPLAY", raising=False)
     env = gymnasium.make("HPAC-Grasp-v0", render_mode="human")
     assert not isinstance(env, HumanRendering)
@@ -41,13 +35,14 @@ def test_the_page_shows_each_step_while_the_hand_moves_in_real_time(told, monkey
     began = time.monotonic()
     for steps in range(1, 5):
         env.step(np.full(6, -0.5, np.float32))
-        assert len(told) == steps + 1
+        assert show.call_count == steps + 1
+        shown = show.call_args.args[1]
         state = env.unwrapped.state
-        np.testing.assert_array_equal(told[-1].joint_pos, state.joint_pos[0])
-        np.testing.assert_array_equal(told[-1].object_pos, state.object_pos[0])
-        np.testing.assert_array_equal(told[-1].servo, env.unwrapped.command.servo)
+        np.testing.assert_array_equal(shown.joint_pos, state.joint_pos[0])
+        np.testing.assert_array_equal(shown.object_pos, state.object_pos[0])
+        np.testing.assert_array_equal(shown.servo, env.unwrapped.command.servo)
     assert time.monotonic() - began > 3 / 20
-    assert told[-1].text == "0.20 s, close; running"
+    assert shown.text == "0.20 s, close; running"
     assert env.render() is None
     env.close()
     with pytest.raises(urllib.error.URLError):
@@ -74,17 +69,18 @@ def test_every_episode_has_its_own_object_on_the_page(opened):
     assert len({len(names) for names in seen}) > 1
 
 
-def test_a_vector_shows_its_first_environment_and_a_posture_its_goal(told, opened):
+def test_a_vector_shows_its_first_environment_and_a_posture_its_goal(show, opened):
     envs = opened(
         gymnasium.make_vec("HPAC-Posture-v1", num_envs=2, engine="mujoco", render_mode="human")
     )
     envs.reset(seed=0)
     envs.step(np.full((2, 6), 0.3, np.float32))
     assert envs.render() is None
+    shown = show.call_args.args[1]
     state = envs.unwrapped.episodes.now.state
-    np.testing.assert_array_equal(told[-1].joint_pos, state.joint_pos[0])
-    np.testing.assert_array_equal(told[-1].goal, envs.unwrapped.episodes.setups[0].goal)
-    assert told[-1].object_rotation is None
+    np.testing.assert_array_equal(shown.joint_pos, state.joint_pos[0])
+    np.testing.assert_array_equal(shown.goal, envs.unwrapped.episodes.setups[0].goal)
+    assert shown.object_rotation is None
     assert not [name for name in nodes(envs) if name.startswith("/scene/object")]
     page = envs.unwrapped.episodes.pictures.page
     assert page._ghosts["goal"].palm.visible

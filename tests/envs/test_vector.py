@@ -346,10 +346,9 @@ def test_a_batch_takes_a_setup_for_each_and_one_for_all(envs):
     mask = np.array([False, True, False])
     envs.reset(options={"setup": setups, "reset_mask": mask})
     assert [setup.yaw for setup in envs.episodes.setups] == [0.2, 0.1, 0.2]
-    with pytest.raises(ParameterError, match="2 setups were given for 3 environments"):
-        envs.reset(options={"setup": setups[:2]})
-    with pytest.raises(ParameterError, match="must be a SceneSetup, not None"):
-        envs.reset(options={"setup": [*setups[:2], None]})
+    for wrong, told in (([], "2 setups were given for 3"), ([None], "be a SceneSetup, not None")):
+        with pytest.raises(ParameterError, match=told):
+            envs.reset(options={"setup": [*setups[:2], *wrong]})
 
 
 # make_vec
