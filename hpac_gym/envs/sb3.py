@@ -10,7 +10,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from hpac_gym.envs.vector_env import ATTRIBUTES, HandVectorEnv, require, require_settable
+from hpac_gym.envs.vector_env import ATTRIBUTES, HandVectorEnv, require
 from hpac_gym.errors import ParameterError, install
 from hpac_gym.tasks.task import CONTROL_HZ
 
@@ -107,7 +107,7 @@ class HandVecEnv(VecEnv):
         """Set an attribute of some environments, by default of all, to one value; see
         `HandVectorEnv.set_attr`.
         """
-        require_settable(attr_name)
+        require("set_attr", attr_name, "randomization")  # as there
         values = list(self.envs.get_attr(attr_name))
         for world in self._get_indices(indices):
             values[world] = value

@@ -52,14 +52,6 @@ def require(method: str, name: str, *known: str) -> None:
         raise AttributeError(f"{method}: {name!r} is not one of {', '.join(known)}")
 
 
-def require_settable(name: str) -> None:
-    """Refuse a name that `HandVectorEnv.set_attr` cannot set: an `AttributeError`."""
-    if name != "randomization":
-        raise AttributeError(
-            f"set_attr: {name!r} cannot be set in a running vector environment; 'randomization' can"
-        )
-
-
 class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
     """n hands with a task, in one process, each to the bit like a `HandEnv` with the same seed.
 
@@ -239,7 +231,7 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
             AttributeError: Any other name.
             ParameterError: Wrong number of values, or an invalid randomization.
         """
-        require_settable(name)
+        require("set_attr", name, "randomization")
         values = values if isinstance(values, list | tuple) else [values] * self.num_envs
         check_count("values", values, self.num_envs)
         self.episodes.randomizations[:] = [randomization(value) for value in values]

@@ -316,13 +316,12 @@ def test_a_setup_that_is_no_episode_of_its_task_is_refused(env_id, change, messa
 def test_a_setup_of_lists_is_that_of_its_arrays_and_tuples():
     with gymnasium.make("HPAC-GraspAny-v1", engine="mujoco", wrist="free") as env:
         env.reset(seed=3)
-        setup = env.unwrapped.episodes.setups[0]
+        plain = replace(env.unwrapped.episodes.setups[0], object=OWN)
         names = ("position", "synergy", "hand_quaternion", "object_quaternion")
-        lists = {name: np.asarray(getattr(setup, name)).tolist() for name in names}
-        plain = ObjectSpec("box", (0.02, 0.03, 0.03), 0.1, 0.8)
-        listed = replace(plain, half_extents=[0.02, 0.03, 0.03])
+        lists = {name: np.asarray(getattr(plain, name)).tolist() for name in names}
+        listed = replace(OWN, half_extents=list(OWN.half_extents))
         seen = []
-        for given in (replace(setup, object=plain), replace(setup, **lists, object=listed)):
+        for given in (plain, replace(plain, **lists, object=listed)):
             env.reset(seed=3, options={"setup": given})
             seen.append(env.step(np.full(10, 0.2, np.float32))[0])
     np.testing.assert_array_equal(*seen)
