@@ -14,12 +14,10 @@ from hpac_gym.envs import GraspTypeSetup
 from hpac_gym.errors import ParameterError
 from hpac_gym.model import HPAC
 from hpac_gym.physics.simulation import ENGINES
-from hpac_gym.tasks.arrival import START, WRIST_CENTRE, WRIST_REACH, WRIST_TURN
-from hpac_gym.tasks.grasp_type_data import GRASP_TYPES, HELD_OUT_TYPES
-from hpac_gym.tasks.grasp_types import LOOK_EVERY, SETTLES
+from hpac_gym.tasks.grasp_type_data import GRASP_TYPES
+from hpac_gym.tasks.grasp_types import LOOK_EVERY
 from hpac_gym.tasks.scripted import Script
 from tests.envs.episodes import EASY, run
-from tools.tables import DOCS
 
 ID = "HPAC-GraspType-v0"
 make = partial(gymnasium.make, ID)
@@ -80,58 +78,55 @@ def test_what_is_held_otherwise_than_the_type_asks_is_no_success():
     assert unpaid < paid - 10
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-def test_a_hand_that_arrives_in_the_object_fails_at_once(engine):
-    with make(engine=engine, types="large_cylinder") as env:
-        for deeper in (0.0, 0.35, 0.6):  # by so many times 65 mm
-            observation, _ = env.reset(seed=2)
-            first = env.unwrapped.task.script().act(observation)
-            first[6] -= deeper
-            *_, terminated, _, info = env.step(first)
-            assert terminated == (deeper > 0)
-            assert info["outcome"] == ("failure" if deeper else "running")
-
-
 PLACE = [-0.21, -0.03, -0.35, 0.05, -0.06, -0.1]
 """A wrist whose hand reaches around the post of a small sphere."""
 
 
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize(
-    ("preshape", "seed", "clear", "beyond"),
+    ("types", "seed", "action", "moved", "fates", "beyond"),
     [
-        ([-1, 1, -1, -1, 1, -1], 3, 0.3, (0.2, 0.6)),
-        ([-0.88, 0.93, -0.92, -0.06, 0.69, -0.83], 0, 0.2, (-0.2, 0.1)),
+        ("large_cylinder", 2, None, 6, {0.0: False, -0.35: True, -0.6: True}, None),
+        ("small_sphere", 3, [-1, 1, -1, -1, 1, -1, *PLACE], 8, {0.3: False, 0.0: True}, (0.2, 0.6)),
+        (
+            "small_sphere",
+            0,
+            [-0.88, 0.93, -0.92, -0.06, 0.69, -0.83, *PLACE],
+            8,
+            {0.2: False, 0.0: True},
+            (-0.2, 0.1),
+        ),
+        (
+            "large_cylinder",
+            0,
+            [0.6, -1, -1, -1, -1, 0.5, 1, 0, 0, 0, 0, 0],
+            slice(1, 5),
+            {0.0: False, 1.6: True},
+            None,
+        ),
     ],
-    ids=["whose joint is pushed far beyond its stop", "that stays about its stop, wedged"],
+    ids=[
+        "in the object",
+        "with a digit in the post, whose joint is pushed far beyond its stop",
+        "with a digit in the post, that stays about its stop, wedged",
+        "with its thumb in a finger",
+    ],
 )
-def test_a_hand_that_arrives_with_a_digit_in_the_post_fails_at_once(
-    engine, preshape, seed, clear, beyond
+def test_a_hand_that_arrives_in_something_fails_at_once(
+    engine, types, seed, action, moved, fates, beyond
 ):
-    """And one that is lower, by `clear` times 65 mm, does not."""
-    for lower, over in ((0.0, True), (clear, False)):
-        with make(engine=engine, types="small_sphere") as env:
-            env.reset(seed=seed)
-            first = np.array([*preshape, *PLACE], np.float32)
-            first[8] += lower
+    """And one with another place, by so many times 65 mm, or with straight fingers, does not."""
+    with make(engine=engine, types=types) as env:
+        for change, over in fates.items():
+            observation, _ = env.reset(seed=seed)
+            first = np.array(action or env.unwrapped.task.script().act(observation), np.float32)
+            first[moved] += change
             *_, terminated, _, info = env.step(first)
             assert terminated == over
-            state = env.unwrapped.state
-            assert not state.touching.any(), "only the support is in the way"
-            assert info["contact_force"] == 0
-            excess = np.max(state.joint_pos[0] - HPAC.joint_max)
-            assert engine == "mujoco" or not over or beyond[0] < excess < beyond[1]
-
-
-def test_a_hand_cannot_arrive_with_its_thumb_inside_of_a_finger():
-    with make(types="large_cylinder") as env:
-        for fingers, over in ((-1.0, False), (0.6, True)):
-            env.reset(seed=0)
-            *_, terminated, _, info = env.step(
-                np.array([0.6, *[fingers] * 4, 0.5, 1, 0, 0, 0, 0, 0], np.float32)
-            )
-            assert terminated == over
-            assert info["contact_force"] == 0
+            assert info["outcome"] == ("failure" if over else "running")
+            assert action is None or info["contact_force"] == 0, "only the object is touched"
+        excess = np.max(env.unwrapped.state.joint_pos[0] - HPAC.joint_max)
+        assert engine == "mujoco" or beyond is None or beyond[0] < excess < beyond[1]
 
 
 def test_only_the_first_action_moves_the_wrist_and_shapes_the_hand_at_once():
@@ -162,22 +157,6 @@ def test_a_policy_is_told_its_type_in_every_step():
         after, *_ = env.step(env.action_space.sample())
     np.testing.assert_array_equal(after[place], observation[place])
     assert len(told) > 10
-
-
-def test_what_the_page_says_by_hand_has_the_numbers_of_the_code():
-    page = " ".join(
-        (DOCS / "environments/grasp_type.md").read_text(encoding="utf-8").replace("−", "-").split()
-    )
-    for index, (axis, low, high) in enumerate(
-        zip("xyz", WRIST_CENTRE - WRIST_REACH, WRIST_CENTRE + WRIST_REACH, strict=True)
-    ):
-        assert f"| {6 + index} | `grasp_{axis}` | {low:.3f} m | {high:.3f} m |" in page
-    assert f"| -{WRIST_TURN:g} rad | {WRIST_TURN:g} rad |" in page
-    assert f"{100 * START[0]:g} cm in front of the palm" in page
-    assert f"pushes it by more than {1e3 * SETTLES:g} mm" in page
-    assert LOOK_EVERY == 4
-    assert "every fourth step" in page
-    assert all(f"`{name}`" in page for name in HELD_OUT_TYPES)
 
 
 def test_an_episode_that_is_given_names_its_type():

@@ -7,11 +7,15 @@ import re
 import gymnasium
 import pytest
 
-from hpac_gym.envs import Grasp, PickPlace, make_task
+from hpac_gym.envs import make_task
 from hpac_gym.model import HPAC, servo_from_synergy
 from hpac_gym.registration import GENTLE, GRASP, GRASP_ANY, GRASP_TYPE, IDS, PICK_PLACE, POSTURE
 from hpac_gym.tasks import posture
+from hpac_gym.tasks.arrival import START, WRIST_CENTRE, WRIST_REACH, WRIST_TURN
+from hpac_gym.tasks.grasp_type_data import HELD_OUT_TYPES
+from hpac_gym.tasks.grasp_types import LOOK_EVERY, SETTLES
 from hpac_gym.tasks.grip import MAX_SLIP
+from hpac_gym.tasks.phases import PickPlaceTimetable, Timetable
 from hpac_gym.tasks.task import CONTROL_HZ
 from hpac_gym.tasks.terms import GRASP_CENTRE
 from tools.tables import DOCS, PAGES, filled
@@ -24,7 +28,7 @@ ID_PAGES = {
     PICK_PLACE: "environments/pick_place.md",
     POSTURE: "environments/posture.md",
 }
-STEPS = {GRASP: 64, GRASP_ANY: 144, GRASP_TYPE: 64, GENTLE: 88, PICK_PLACE: 110, POSTURE: 40}
+LENGTHS = {GRASP: 64, GRASP_ANY: 144, GRASP_TYPE: 64, GENTLE: 88, PICK_PLACE: 110, POSTURE: 40}
 PARTS = (
     "Description",
     "Action space",
@@ -68,12 +72,12 @@ def test_a_page_has_the_parts_that_people_expect_in_their_order_and_the_length_o
     """The time limit is as long as an episode, or one step longer than one that ends by itself."""
     assert text(page).startswith(f"# {name}\n\n![")
     assert re.findall(r"^## (.*)", text(page), re.MULTILINE) == list(PARTS)
-    assert f"{STEPS[name]} steps" in text(page).split("## Episode end")[1]
-    linked = rf"\[`{name}`\]\({page.partition('/')[2]}\).* {STEPS[name]} steps \|\n"
+    assert f"{LENGTHS[name]} steps" in text(page).split("## Episode end")[1]
+    linked = rf"\[`{name}`\]\({page.partition('/')[2]}\).* {LENGTHS[name]} steps \|\n"
     assert re.search(linked, text(OF_ALL))
     task = make_task(name)
-    assert round(task.duration * CONTROL_HZ) == STEPS[name]
-    assert gymnasium.spec(name).max_episode_steps == STEPS[name] + (not task.endless)
+    assert round(task.duration * CONTROL_HZ) == LENGTHS[name]
+    assert gymnasium.spec(name).max_episode_steps == LENGTHS[name] + (not task.endless)
 
 
 @pytest.mark.parametrize(("name", "page"), ID_PAGES.items())
@@ -111,26 +115,46 @@ def test_a_page_names_what_a_caller_may_have_to_import(name):
         assert f"`hpac_gym.envs.{kind}`" in words(OF_ALL)
 
 
-def test_what_is_written_by_hand_has_the_numbers_of_the_code():
-    grasp, place, goals = (words(ID_PAGES[name]) for name in (GRASP, PICK_PLACE, POSTURE))
-    centre = f"({', '.join(f'{value:g}' for value in GRASP_CENTRE)}) m"
-    assert centre in words(OF_ALL)
-    assert f"lifts by {100 * Grasp().timetable.lift_height:g} cm" in grasp
-    assert f"{1e3 * MAX_SLIP:g} mm in the hand since" in grasp
-    assert f"{1e3 * PickPlace().timetable.clearance:g} mm above" in place
-    assert goals.count(f"no joint is farther than {posture.TOLERANCE:g} rad from its goal") == 2
-    mp, cmc = posture.FREE_FINGERS_THUMB
-    assert f"MCP beyond {posture.FREE_THUMB_FINGERS:g} rad" in goals
-    assert f"MP below {mp:g} rad and its CMC below {cmc:g} rad" in goals
-    low, high = posture.BLOCKED_CMC
-    blocked = f"MP beyond {posture.BLOCKED_MP:g} rad meets the index finger while its CMC is between {low:g} and {high:g} rad"
-    assert blocked in goals
-    assert f"noise of {math.degrees(posture.CAMERA_NOISE):g}° a joint" in goals
-    fingers = servo_from_synergy(HPAC.synergy_max)[1:5] / HPAC.rate_limit
-    (steps,) = {math.ceil(CONTROL_HZ * seconds) for seconds in fingers}
-    whole = math.ceil(CONTROL_HZ * servo_from_synergy(HPAC.synergy_max).max() / HPAC.rate_limit)
-    closing = round(CONTROL_HZ * Grasp().timetable.close_time)
-    limit = f"rate limit of {HPAC.rate_limit:g} rad/s, all arriving together"
-    assert f"{limit}: a finger closes fully in {steps} steps" in words(OF_ALL)
-    closes = f"with the thumb's CMC, in {whole} of the {closing} steps that closing lasts"
-    assert closes in words(OF_ALL)
+MP, CMC = posture.FREE_FINGERS_THUMB
+LOW, HIGH = posture.BLOCKED_CMC
+CLOSED = servo_from_synergy(HPAC.synergy_max)
+STEPS = [math.ceil(CONTROL_HZ * angle / HPAC.rate_limit) for angle in CLOSED]
+(FINGER,) = set(STEPS[1:5])
+CLOSING = round(CONTROL_HZ * Timetable().close_time)
+WRIST = zip("xyz", WRIST_CENTRE - WRIST_REACH, WRIST_CENTRE + WRIST_REACH, strict=True)
+BY_HAND = {
+    OF_ALL: (
+        f"({', '.join(f'{value:g}' for value in GRASP_CENTRE)}) m",
+        f"rate limit of {HPAC.rate_limit:g} rad/s, all arriving together: a finger closes fully in {FINGER} steps",
+        f"with the thumb's CMC, in {max(STEPS)} of the {CLOSING} steps that closing lasts",
+    ),
+    ID_PAGES[GRASP]: (
+        f"lifts by {100 * Timetable().lift_height:g} cm",
+        f"{1e3 * MAX_SLIP:g} mm in the hand since",
+    ),
+    ID_PAGES[PICK_PLACE]: (f"{1e3 * PickPlaceTimetable().clearance:g} mm above",),
+    ID_PAGES[POSTURE]: (
+        f"no joint is farther than {posture.TOLERANCE:g} rad from its goal",
+        f"MCP beyond {posture.FREE_THUMB_FINGERS:g} rad",
+        f"MP below {MP:g} rad and its CMC below {CMC:g} rad",
+        f"MP beyond {posture.BLOCKED_MP:g} rad meets the index finger while its CMC is between {LOW:g} and {HIGH:g} rad",
+        f"noise of {math.degrees(posture.CAMERA_NOISE):g}° a joint",
+    ),
+    ID_PAGES[GRASP_TYPE]: (
+        *(
+            f"| {6 + index} | `grasp_{axis}` | {low:.3f} m | {high:.3f} m |"
+            for index, (axis, low, high) in enumerate(WRIST)
+        ),
+        f"| -{WRIST_TURN:g} rad | {WRIST_TURN:g} rad |",
+        f"{100 * START[0]:g} cm in front of the palm",
+        f"pushes it by more than {1e3 * SETTLES:g} mm",
+        f"every {['', 'first', 'second', 'third', 'fourth'][LOOK_EVERY]} step",
+        *(f"`{name}`" for name in HELD_OUT_TYPES),
+    ),
+}
+
+
+@pytest.mark.parametrize("page", BY_HAND)
+def test_what_is_written_by_hand_has_the_numbers_of_the_code(page):
+    told = words(page).replace("−", "-")
+    assert [claim for claim in BY_HAND[page] if claim not in told] == []
