@@ -77,6 +77,7 @@ class Episodes:
         visuals = options.render_mode == "rgb_array" or options.obs == "image"
         engine = engine or make_engine(options.engine, num_worlds, options.world, visuals)
         self.simulation = Simulation(engine)
+        self.pictures = Pictures(self, options.render_mode)
         try:
             engine.require(BODIES[options.body])
             engine.every_step = task.every_step
@@ -84,11 +85,7 @@ class Episodes:
             self.user = task.user = object()
             self._camera = task.prepare(num_worlds, options.noise)
             self.observations = Observations(
-                task,
-                options.obs,
-                num_worlds,
-                lambda width: np.stack(self.pictures.all(width=width, height=width)),
-                lambda state: self._camera.points(state),
+                task, options.obs, num_worlds, self.pictures, self._camera
             )
             self.wrists = Wrists(task, num_worlds, engine.dt)
         except Exception:
@@ -98,7 +95,6 @@ class Episodes:
         self.commands = Commands(num_worlds, options.model, task.wrist_actions, transmit)
         width = len(SERVOS) + len(task.wrist_actions)
         self.action_space = spaces.Box(-1.0, 1.0, (width,), np.float32)
-        self.pictures = Pictures(self, options.render_mode)
         self.setups: list[SceneSetup | None] = [None] * num_worlds
         self.randomizations = [options.randomize] * num_worlds
         self.outcome = np.full(num_worlds, RUNNING)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from hpac_gym.errors import EpisodeError
 from hpac_gym.model.checks import Array
-from hpac_gym.physics.engine import HAND_POSITION, SceneSetup, SceneState, Viewpoint
+from hpac_gym.physics.engine import HAND_POSITION, SceneSetup, Viewpoint
 from hpac_gym.tasks.senses import POINTS, POINTS_BOUND, VIEW_TARGET
 from hpac_gym.tasks.task import OUTCOMES, Task
 from hpac_gym.tasks.terms import Layout, Moment
@@ -39,10 +39,8 @@ class Observations:
         task: has the terms.
         obs: kind of observation, as the option of that name.
         num_worlds: n.
-        pictures: makes square pictures of a width [px], shape (n, width, width, 3), where they are
-            observed.
-        points: makes the points that the camera sees of a state, shape (n, `POINTS`, 4), where they
-            are observed.
+        pictures: take what is observed as an image.
+        camera: the task's, which sees what is observed as points.
 
     Attributes:
         space: observation space of one world.
@@ -56,8 +54,8 @@ class Observations:
         task: Task,
         obs: str,
         num_worlds: int,
-        pictures: Callable[[int], NDArray],
-        points: Callable[[SceneState], NDArray],
+        pictures: "Pictures",
+        camera: Any,
     ) -> None:
         self._task = task
         more = {"privileged": task.privileged_terms, **task.sensed_terms}
@@ -72,10 +70,11 @@ class Observations:
             parts["desired_goal"] = self._goals.space, lambda now: self._desired
         if obs == "image":
             space = spaces.Box(0, 255, (IMAGE_SIZE, IMAGE_SIZE, 3), np.uint8)
-            parts["image"] = space, lambda now: pictures(IMAGE_SIZE)
+            size = {"width": IMAGE_SIZE, "height": IMAGE_SIZE}
+            parts["image"] = space, lambda now: np.stack(pictures.all(**size))
         if obs == "points":
             space = spaces.Box(-POINTS_BOUND, POINTS_BOUND, (POINTS, 4), np.float32)
-            parts["points"] = space, lambda now: points(now.state)
+            parts["points"] = space, lambda now: camera.points(now.state)
         self._parts = parts
         together = spaces.Dict({name: space for name, (space, _) in parts.items()})
         self.space = self._layout.space if set(parts) == {"deploy"} else together
