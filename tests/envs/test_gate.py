@@ -18,7 +18,6 @@ from hpac_gym.envs import GRASPS
 from hpac_gym.envs.randomization import Randomization
 from hpac_gym.errors import EpisodeError, ShapeError, WorkspaceError
 from hpac_gym.model import HPAC, SERVOS
-from hpac_gym.physics.settings import HandSettings
 from hpac_gym.physics.simulation import ENGINES, is_installed
 from hpac_gym.registration import GRASP, GRASP_ANY, GRASP_TYPE, IDS, PICK_PLACE, POSTURE
 from hpac_gym.tasks.cameras import CameraNoise
@@ -96,11 +95,6 @@ STOP_GIVES = 0.4
 """
 
 every_id = pytest.mark.parametrize("name", IDS)
-
-
-def hand_settings(env: gymnasium.Env) -> HandSettings:
-    """The settings of the simulated hand of an environment that has been reset."""
-    return env.unwrapped.episodes.setups[0].hand_settings
 
 
 @pytest.fixture
@@ -299,9 +293,9 @@ def test_a_randomized_episode_is_its_seed_s_too_and_another_seed_s_another_one(n
     case = Case(name, MUJOCO | PRIVILEGED | {"randomize": "full"}, restless)
     with case.make() as env:
         first = case.play(env, 5, 8).bits()
-        begun = hand_settings(env)
+        (begun,) = env.unwrapped.episodes.setups
         assert case.play(env, 6, 8).bits() != first
-        assert hand_settings(env) != begun
+        assert env.unwrapped.episodes.setups[0].hand_settings != begun.hand_settings
         assert case.play(env, 5, 8).bits() == first
 
 

@@ -11,7 +11,6 @@ import pytest
 from hpac_gym.envs import GRASPS
 from hpac_gym.evaluation.evaluate import run_block
 from hpac_gym.physics.engine import PARTS
-from hpac_gym.tasks.scripted import Script
 from tests.envs.episodes import run, steps
 
 ID = "HPAC-Grasp-v0"
@@ -37,21 +36,6 @@ HOLDING = {
     "press": {"thumb", "pinky", "palm"},
 }
 """What the texts of the grasps say that holds the object."""
-
-
-class Wild(Script):
-    """Random actions."""
-
-    def __init__(self, seed: int) -> None:
-        self._rng = np.random.default_rng([seed, 1])
-
-    def act(self, observation):
-        return self._rng.uniform(-1, 1, 6).astype(np.float32)
-
-
-def succeeds(env, seed: int, policy=None) -> bool:
-    """Whether the scripted closure, or another policy, wins the episode of a seed."""
-    return run(env, policy or env.unwrapped.task.script(), seed=seed)[0][-1]["is_success"]
 
 
 def held_by(env, seed: int) -> tuple[set[str], float]:
@@ -98,9 +82,8 @@ def test_what_the_text_names_holds_the_object_and_crushes_nothing(name: str):
     ],
 )
 def test_scripted_closure_beats_random_actions(name: str, seeds: range, least: int):
-    with gymnasium.make(ID, grasp=name, engine="pybullet") as env:
-        scripted = sum(succeeds(env, seed) for seed in seeds)
-        wild = sum(succeeds(env, seed, Wild(seed)) for seed in seeds)
+    played = run_block(["scripted", "random"], ID, {"grasp": name, "engine": "pybullet"}, seeds)
+    scripted, wild = (sum(one.success for one in each) for each in zip(*played, strict=True))
     assert scripted >= least
     assert scripted > wild + 2
 
@@ -119,7 +102,8 @@ def test_a_closed_grasp_creeps_little_in_ten_seconds(name: str):
     begins.
     """
     with gymnasium.make(ID, grasp=name, engine="pybullet") as env:
-        assert any(succeeds(env, seed) for seed in range(10))
+        script = env.unwrapped.task.script()
+        assert any(run(env, script, seed=seed)[0][-1]["is_success"] for seed in range(10))
         simulation = env.unwrapped.episodes.simulation
         places = []
         for seconds in (1.0, 10.0):

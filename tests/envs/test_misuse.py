@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import data_equivalence
-from gymnasium.wrappers import TimeAwareObservation
 
 from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.envs import GoalEnv, Grasp, HandEnv, HandVectorEnv, Posture
@@ -30,7 +29,7 @@ from hpac_gym.tasks.grasp_setups import GraspConfig, GraspWeights
 from hpac_gym.tasks.phases import Timetable
 from hpac_gym.tasks.posture import PostureConfig
 from hpac_gym.tasks.terms import GRASP_CENTRE, LENGTH_UNIT
-from tests.envs.episodes import EASY, check_stopped, part, steps
+from tests.envs.episodes import EASY, check_stopped, part
 
 MAKERS: dict[str, Callable[[], Any]] = {
     "HandEnv": lambda: HandEnv(Grasp()),
@@ -628,28 +627,3 @@ def test_what_is_given_counts():
         np.testing.assert_allclose(
             part(observation, env.unwrapped.task.terms, "object_pos"), centre, atol=1e-6
         )
-
-
-@pytest.mark.parametrize(
-    ("name", "length"),
-    [
-        ("HPAC-Grasp-v0", 64),
-        ("HPAC-GraspType-v0", 64),
-        ("HPAC-PickPlace-v0", 110),
-        ("HPAC-Posture-v1", 40),
-    ],
-)
-def test_an_id_tells_its_length_and_the_limit_cuts_no_episode_that_ends_by_itself(name, length):
-    with TimeAwareObservation(gymnasium.make(name), flatten=name != "HPAC-Posture-v1") as env:
-        env.reset(seed=1)
-    longest = 0
-    with gymnasium.make(name) as env:
-        seed = 0
-        while longest < length and seed < 8:
-            *returned, (_, _, terminated, truncated, _) = steps(
-                env, env.unwrapped.task.script(), seed=seed
-            )
-            assert terminated != truncated == (name == "HPAC-Posture-v1")
-            longest = max(longest, len(returned))
-            seed = seed + 1
-    assert longest == length

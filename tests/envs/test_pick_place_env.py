@@ -57,14 +57,6 @@ def test_holding_on_pays_only_until_the_hand_is_lowered():
     assert not any(paid[lowered - 1 :])
 
 
-def test_a_push_counts_to_the_end_of_the_closing(env):
-    env.reset(seed=0)
-    env.unwrapped.task._place[0, 1] += 0.02
-    close = round(PickPlaceTimetable().ends[1] * 20)
-    pushed = [env.step(OPEN)[-1]["reward_terms"]["push"] for _ in range(close)]
-    np.testing.assert_allclose(pushed, -0.3 * 0.02 / PickPlaceConfig().drop_distance, atol=0.02)
-
-
 def test_an_open_hand_does_not_touch_the_object_on_its_way(env):
     for seed in range(6):
         env.reset(seed=seed)
