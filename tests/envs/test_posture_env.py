@@ -115,14 +115,10 @@ def test_a_subclass_pays_what_it_computes_for_hindsight_replay(opened):
 
 def test_sparse_reward_is_zero_within_the_tolerance_of_every_joint(opened):
     env = opened(GoalEnv(Posture(), reward="sparse"))
-    goal = np.zeros(len(JOINTS))
-    near = goal.copy()
-    far = goal.copy()
-    near[3] = 0.99 * TOLERANCE
-    far[3] = 1.01 * TOLERANCE
-    np.testing.assert_array_equal(
-        env.compute_reward(np.array([goal, near, far, goal + np.nan]), goal, {}), [0, 0, -1, -1]
-    )
+    achieved = np.zeros((4, len(JOINTS)))
+    achieved[:, 3] = 0, 0.99 * TOLERANCE, 1.01 * TOLERANCE, np.nan
+    paid = env.compute_reward(achieved, np.zeros(len(JOINTS)), {})
+    np.testing.assert_array_equal(paid, [0, 0, -1, -1])
     with pytest.raises(
         ShapeError, match=r"achieved_goal must have shape \(\.\.\., 15\), not \(4, 14"
     ):

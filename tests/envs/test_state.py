@@ -12,7 +12,6 @@ from hpac_gym.physics.simulation import ENGINES
 from hpac_gym.registration import GENTLE, GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE, POSTURE
 from hpac_gym.tasks.arrival import wrist_choice
 from hpac_gym.tasks.grasp_type_data import GRASP_TYPES
-from tests.envs.episodes import check_stopped
 
 
 def closing(env: gymnasium.Env, steps: int, rng: np.random.Generator) -> np.ndarray:
@@ -100,17 +99,6 @@ def test_a_state_of_another_episode_or_environment_is_refused(opened):
     env.close()
     with pytest.raises(EpisodeError, match="closed"):
         env.restore_state(state)
-
-
-def test_an_episode_that_is_over_goes_on_from_a_state_before_its_end(opened):
-    env = opened(gymnasium.make(GRASP)).unwrapped
-    env.reset(seed=0)
-    state = env.save_state()
-    still = np.full((64, 6), -1, np.float32)
-    first = told(env, still)
-    check_stopped(env)
-    env.restore_state(state)
-    np.testing.assert_equal(told(env, still), first)
 
 
 def test_nothing_is_saved_of_a_hand_at_the_far_end_of_a_wire(opened):

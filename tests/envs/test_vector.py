@@ -57,6 +57,15 @@ def same(twins, call: str, *given, **named):
     return one
 
 
+def same_step(twins, action, mode: AutoresetMode):
+    """What a step of both returns, after which those that have to be are reset."""
+    seen = same(twins, "step", action)
+    over = seen[2] | seen[3]
+    if mode is AutoresetMode.DISABLED and over.any():
+        same(twins, "reset", options={"reset_mask": over})
+    return seen
+
+
 @pytest.fixture
 def envs(opened):
     return opened(ours())
@@ -91,11 +100,7 @@ def test_everything_is_as_in_gymnasiums_own_over_the_ends_of_short_episodes(
     for step, action in enumerate(actions()):
         if step == 1:  # so that the episodes do not all end at once
             same(twins, "reset", options={"reset_mask": np.array([False, True, False])})
-        seen = same(twins, "step", action)
-        assert seen[0] in mine.observation_space
-        over = seen[2] | seen[3]
-        if mode is AutoresetMode.DISABLED and over.any():
-            same(twins, "reset", options={"reset_mask": over})
+        assert same_step(twins, action, mode)[0] in mine.observation_space
 
 
 @pytest.mark.parametrize(
@@ -123,11 +128,9 @@ def test_everything_is_as_in_gymnasiums_own_over_the_ends_of_whole_episodes(
         action[2] = 0.1 * actions(1, 80)[step] - 0.9  # an open hand lifts nothing
         if mode is AutoresetMode.NEXT_STEP:
             action[over] = np.nan
-        _, _, terminated, truncated, infos = same(twins, "step", action)
+        _, _, terminated, truncated, infos = same_step(twins, action, mode)
         over = terminated | truncated
         outcomes |= set(np.ravel(infos.get("final_info", infos)["outcome"]).tolist())
-        if mode is AutoresetMode.DISABLED and over.any():
-            same(twins, "reset", options={"reset_mask": over})
     assert outcomes >= {"running", "failure", "success"}
 
 
