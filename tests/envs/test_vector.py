@@ -263,10 +263,9 @@ def test_without_autoreset_a_step_after_the_end_is_refused(opened):
     envs = opened(ours(autoreset_mode="Disabled", max_episode_steps=1))
     envs.reset(seed=0)
     envs.step(actions()[0])
-    check_stopped(envs)
-    envs.reset(options={"reset_mask": np.array([True, True, False])})
-    check_stopped(envs)
-    envs.reset(options={"reset_mask": np.array([False, False, True])})
+    for mask in ([True, True, False], [False, False, True]):
+        check_stopped(envs)
+        envs.reset(options={"reset_mask": np.array(mask)})
     envs.step(actions()[0])
 
 
