@@ -1,6 +1,6 @@
 """Options that every environment has: one field each, with its meaning, default and check."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import astuple, dataclass, replace
 from numbers import Real
 from os import PathLike
@@ -168,6 +168,16 @@ def check_number(name: str, given: int) -> None:
         raise ParameterError(f"{name} = {given!r} must be a whole number of at least 1")
 
 
+def check_count(name: str, given: Sequence[Any], num_envs: int) -> None:
+    """Refuse values that are not one per environment.
+
+    Raises:
+        ParameterError: Wrong number.
+    """
+    if len(given) != num_envs:
+        raise ParameterError(f"{len(given)} {name} were given for {num_envs} environments")
+
+
 def setups_of(
     options: Mapping[str, Any] | None, task: Task, hand: Hand, num_envs: int = 1
 ) -> list[SceneSetup] | None:
@@ -190,8 +200,7 @@ def setups_of(
     listed = isinstance(given, list | tuple) and not all(isinstance(x, Real) for x in given)
     if not listed:
         return [one(given, task, hand)] * num_envs
-    if len(given) != num_envs:
-        raise ParameterError(f"{len(given)} {name}s were given for {num_envs} environments")
+    check_count(f"{name}s", given, num_envs)
     return [one(entry, task, hand) for entry in given]
 
 

@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 
 from hpac_gym.envs.episodes import CONTROL_HZ, Episodes, open_episodes
 from hpac_gym.envs.hand_env import GoalEnv, HandEnv
-from hpac_gym.envs.options import RENDER_MODES, checked_options, setups_of
+from hpac_gym.envs.options import RENDER_MODES, check_count, checked_options, setups_of
 from hpac_gym.envs.randomization import randomization
 from hpac_gym.envs.vector_infos import (
     begin,
-    check_count,
     check_lengths,
     mask_of,
     of_last_step,

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from hpac_gym.envs.episodes import Episodes, quality
 from hpac_gym.envs.observations import of_world
-from hpac_gym.envs.options import check_number
+from hpac_gym.envs.options import check_count, check_number
 from hpac_gym.errors import ParameterError
 
 Mask = NDArray[np.bool_]
@@ -115,13 +115,3 @@ def seeds_of(seed: int | Sequence[int | None] | None, num_envs: int) -> Sequence
     seeds = np.atleast_1d(seed).tolist()
     check_count("seeds", seeds, num_envs)
     return seeds
-
-
-def check_count(name: str, given: Sequence[Any], num_envs: int) -> None:
-    """Refuse values that are not one per environment.
-
-    Raises:
-        ParameterError: Wrong number.
-    """
-    if len(given) != num_envs:
-        raise ParameterError(f"{len(given)} {name} were given for {num_envs} environments")
