@@ -10,7 +10,6 @@ Files and rows are kept, and a later run continues them."""
 
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +22,7 @@ from hpac_gym.calibration.identification import identify
 from hpac_gym.calibration.posterior import draws_text, read_draws, report_folder
 from hpac_gym.command import command_parser, run, whole_number
 from hpac_gym.evaluation.evaluate import run_block
-from hpac_gym.evaluation.forecast import Forecast, forecast
+from hpac_gym.evaluation.forecast import forecast
 from hpac_gym.evaluation.statistics import wilson_interval
 from hpac_gym.model import HPAC, Hand, hand_to_toml, load_hand
 from hpac_gym.output import markdown, write_text
@@ -54,7 +53,7 @@ VIRTUAL = 20
 """Virtual hands of a forecast."""
 
 
-def predicted(hands: Sequence[Hand], seed: int) -> Forecast:
+def predicted(hands: Sequence[Hand], seed: int) -> dict[str, Any]:
     """The forecast of virtual hands, on episodes that no hidden hand sees."""
     return forecast(hands, "scripted", GRASP, OPTIONS, EPISODES, of=TRUTH, seed_start=seed)
 
@@ -78,15 +77,15 @@ def row_of(seed: int) -> dict[str, Any]:
     seeds = range(TRUTH_SEED + place, TRUTH_SEED + place + TRUTH)
     options = OPTIONS | {"hand": slack_hand(seed)}
     won = sum(episode.success for (episode,) in run_block(["scripted"], GRASP, options, seeds))
-    return {"case": CASE, "seed": seed, "truth": won / TRUTH, **asdict(told)}
+    return {"case": CASE, "seed": seed, "truth": won / TRUTH, **told}
 
 
 def controls() -> dict[str, dict[str, Any]]:
     """The forecasts that know no sweep: nominal hands, and other hands of the workshop."""
     others = [slack_hand(OTHERS + number) for number in range(VIRTUAL)]
     return {
-        "all nominal": asdict(predicted([HPAC] * VIRTUAL, 2 * FORECAST_SEED)),
-        "others of the workshop": asdict(predicted(others, 3 * FORECAST_SEED)),
+        "all nominal": predicted([HPAC] * VIRTUAL, 2 * FORECAST_SEED),
+        "others of the workshop": predicted(others, 3 * FORECAST_SEED),
     }
 
 

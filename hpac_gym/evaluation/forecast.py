@@ -6,7 +6,6 @@ simulation's: friction, masses and contacts, and the scale of lengths and forces
 
 import argparse
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -27,22 +26,6 @@ OF = 1000
 """Episodes of each virtual hand, and those that are predicted (chosen)."""
 
 
-@dataclass(frozen=True, slots=True)
-class Forecast:
-    """Success of a policy that is expected of one hand."""
-
-    successes: tuple[int, ...]
-    """Of each virtual hand."""
-    episodes: int
-    """Of each virtual hand."""
-    of: int
-    """Number of predicted episodes."""
-    success_rate: float
-    """Expected share of successes."""
-    interval_95: tuple[float, float]
-    """Of the share of successes among the predicted episodes."""
-
-
 def forecast(
     hands: Sequence[Hand],
     policy: str,
@@ -54,7 +37,7 @@ def forecast(
     seed_start: int = HELD_OUT_SEED,
     workers: int = 1,
     normalize: str | None = None,
-) -> Forecast:
+) -> dict[str, Any]:
     """Run a policy on virtual hands, each in episodes of its own.
 
     Args:
@@ -67,6 +50,10 @@ def forecast(
         seed_start: seed of the first episode.
         workers: number of processes.
         normalize: as in `load_policy`.
+
+    Returns:
+        `successes` of each virtual hand, in this number of `episodes`; the `success_rate` that is
+        expected; and `interval_95`, of the share of successes among `of` episodes to come.
 
     Raises:
         EnvError: The environment is unknown.
@@ -85,7 +72,13 @@ def forecast(
         for rows in shared(run_block, jobs, workers, "virtual hands")
     )
     rate, *interval = predicted_rate(successes, episodes, of)
-    return Forecast(successes, episodes, of, rate, tuple(interval))
+    return {
+        "successes": successes,
+        "episodes": episodes,
+        "of": of,
+        "success_rate": rate,
+        "interval_95": tuple(interval),
+    }
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -146,18 +139,19 @@ def run(args: argparse.Namespace) -> int:
         normalize=args.normalize,
     )
     told = " ".join(map(str, (args.policy, *given.values())))
-    text = {
+    facts = {
         "hand": str(args.file),
         "policy": args.policy,
         "env_id": env_id,
         "model": args.commands or str(args.file),
         "options": given,
+        **expected,
     }
-    low, high = expected.interval_95
+    low, high = expected["interval_95"]
     line = (
-        f"{args.file}, {told}, commanded with {args.commands or 'it'}: {expected.success_rate:.1%} expected; "
-        f"in {args.of} episodes {low:.1%} to {high:.1%} (95 %), from {len(expected.successes)} virtual hands with "
+        f"{args.file}, {told}, commanded with {args.commands or 'it'}: {expected['success_rate']:.1%} expected; "
+        f"in {args.of} episodes {low:.1%} to {high:.1%} (95 %), from {len(expected['successes'])} virtual hands with "
         f"{args.episodes} episodes each; friction, masses and contacts as simulated"
     )
-    say(args.json, line, **text, **asdict(expected))
+    say(args.json, line, **facts)
     return 0
