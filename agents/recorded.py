@@ -14,6 +14,7 @@ from agents.recipes import Recipe
 from agents.runs import latest_checkpoint
 from agents.trials import Columns, Source, Trials, sizes_of
 from hpac_gym.policies import Closures, read_policy
+from hpac_gym.policies.policy_file import from_description
 
 COLUMNS = tuple(Trials(0, 1, 1, 1).columns)
 
@@ -73,9 +74,8 @@ class Recorded(Source):
             target = target_of(
                 recipe.env_id, **recipe.options, engine=recipe.set_ups[0].partition("/")[0]
             )
-            if {name: about[name] for name in target} != target or Closures.of(
-                about["closure"]
-            ) != recipe.closures:
+            closures = from_description(Closures, about["closure"])
+            if {name: about[name] for name in target} != target or closures != recipe.closures:
                 raise ValueError("it is of another environment, hand or range of closures")
             ours = recipe.set_ups
             theirs = about["settings"]["set_ups"]

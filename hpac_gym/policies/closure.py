@@ -9,14 +9,13 @@ without a simulator."""
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hpac_gym.errors import ParameterError, PolicyError
+from hpac_gym.errors import ParameterError
 from hpac_gym.model import SERVO_INDEX, SERVOS
 from hpac_gym.settings import check_bounds, setting
 
@@ -74,18 +73,6 @@ class Closures:
             raise ParameterError(
                 "a closure places the wrist or shifts it: wrist and shift exclude each other"
             )
-
-    @classmethod
-    def of(cls, ranges: Mapping[str, Any] | None) -> Closures | None:
-        """The closures that a policy file describes; None if it describes none.
-
-        Raises:
-            PolicyError: A name is unknown, or a range is invalid.
-        """
-        try:
-            return None if ranges is None else cls(**ranges)
-        except (TypeError, ValueError) as error:
-            raise PolicyError(f"invalid closure ranges: {error}") from None
 
     @property
     def _ranges(self) -> dict[str, Range]:

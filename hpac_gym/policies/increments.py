@@ -4,14 +4,13 @@ It needs only numpy, so that a host with a real hand runs one without a simulato
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hpac_gym.errors import ParameterError, PolicyError
+from hpac_gym.errors import ParameterError
 from hpac_gym.settings import check_bounds, setting
 
 Array = NDArray[Any]
@@ -64,18 +63,6 @@ class Increments:
                 raise ParameterError(
                     f"increments {name} = {value!r} must be a whole number from 1 on"
                 )
-
-    @classmethod
-    def of(cls, told: Mapping[str, Any] | None) -> Increments | None:
-        """The increments that a policy file describes; None if it describes none.
-
-        Raises:
-            PolicyError: A name is unknown or missing, or a number invalid.
-        """
-        try:
-            return None if told is None else cls(**told)
-        except (TypeError, ValueError) as error:
-            raise PolicyError(f"invalid increments: {error}") from None
 
     def begin(self, seen: Array) -> Recent:
         """The beginning of n episodes, from their first observations, shape (n, k)."""

@@ -13,7 +13,7 @@ from hpac_gym.policies.closure import Closures
 from hpac_gym.policies.increments import Increments
 from hpac_gym.policies.made_for import options_of, require_fit
 from hpac_gym.policies.policy import LearnedPolicy
-from hpac_gym.policies.policy_file import PolicyFile, sizes_of
+from hpac_gym.policies.policy_file import PolicyFile, from_description, sizes_of
 
 MODEL = "model.onnx"
 CARD = "card.json"
@@ -126,8 +126,8 @@ def read_onnx(folder: Path, env: gymnasium.Env[Any, Any]) -> LearnedPolicy:
         decision = told["decision"]
         entries = [[*map(entry.get, ENTRY)] for entry in told["observation"]]
         described = told | {"made_for": told | {"observation": entries}}
-        closures = Closures.of(decision["closure"])
-        moves = Increments.of(decision.get("increments"))
+        closures = from_description(Closures, decision["closure"])
+        moves = from_description(Increments, decision.get("increments"))
         repeat = 1 if closures else decision["control_steps"]
         if not (isinstance(repeat, int) and repeat >= 1):
             raise ValueError(f"control_steps is {repeat}, and must be a whole number of at least 1")

@@ -11,9 +11,10 @@ import io
 import json
 import os
 import tarfile
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,8 @@ from hpac_gym.errors import PolicyError
 from hpac_gym.output import replacing
 from hpac_gym.policies.closure import Closures
 from hpac_gym.policies.increments import Increments
+
+Kind = TypeVar("Kind", Closures, Increments)
 
 FORMAT = 2
 SUFFIX = ".hpac"
@@ -92,7 +95,7 @@ class PolicyFile:
         Raises:
             PolicyError: The ranges are invalid.
         """
-        return Closures.of(self.about.get("closure"))
+        return from_description(Closures, self.about.get("closure"))
 
     @property
     def increments(self) -> Increments | None:
@@ -101,7 +104,7 @@ class PolicyFile:
         Raises:
             PolicyError: They are invalid.
         """
-        return Increments.of(self.about.get("increments"))
+        return from_description(Increments, self.about.get("increments"))
 
     @property
     def sizes(self) -> tuple[int, int]:
@@ -111,6 +114,18 @@ class PolicyFile:
             PolicyError: The closures or increments are invalid, or do not fit the actor.
         """
         return sizes_of(self.actor.sizes, self.closures, self.increments)
+
+
+def from_description(kind: type[Kind], told: Mapping[str, Any] | None) -> Kind | None:
+    """The closures or increments that a policy's description has; None if it has none.
+
+    Raises:
+        PolicyError: A name is unknown or missing, or a value is invalid.
+    """
+    try:
+        return None if told is None else kind(**told)
+    except (TypeError, ValueError) as error:
+        raise PolicyError(f"invalid {kind.__name__}: {error}") from None
 
 
 def sizes_of(
@@ -188,8 +203,9 @@ def read_policy(path: str | os.PathLike[str]) -> PolicyFile:
     try:
         bundle = io.BytesIO(gzip.decompress(policy_path(path).read_bytes()))
         with tarfile.open(fileobj=bundle, mode="r:") as archive:
-            about = json.loads(_member(archive, "policy.json"))
-            packed = _member(archive, "actor.npz")
+            # A member that is no file is None, which has nothing to read.
+            about = json.loads(archive.extractfile("policy.json").read())  # type: ignore[union-attr]
+            packed = archive.extractfile("actor.npz").read()  # type: ignore[union-attr]
         if about["format"] != FORMAT:
             raise ValueError(f"its format is {about['format']}, this version reads {FORMAT}")
         if about["sha256"] != hashlib.sha256(packed).hexdigest():
@@ -212,13 +228,6 @@ def read_policy(path: str | os.PathLike[str]) -> PolicyFile:
         raise PolicyError(
             f"policy file '{path}' is damaged or of a later version: {error}"
         ) from None
-
-
-def _member(archive: tarfile.TarFile, name: str) -> bytes:
-    file = archive.extractfile(name)  # a KeyError if there is none
-    if file is None:
-        raise TypeError(f"its {name} is no file")
-    return file.read()
 
 
 def _actor_from_arrays(arrays: dict[str, NDArray[Any]]) -> Actor:

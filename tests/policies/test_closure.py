@@ -10,6 +10,7 @@ from hpac_gym.errors import ParameterError
 from hpac_gym.model import SERVO_INDEX
 from hpac_gym.policies import Closures, LearnedPolicy, PolicyError
 from hpac_gym.policies.made_for import difference, made_for
+from hpac_gym.policies.policy_file import from_description
 from hpac_gym.tasks.arrival import WRIST_ACTIONS
 from hpac_gym.tasks.grasp_any import WRIST_ACTIONS as WRIST_SHIFT
 from tests.policies.episodes import actions_of
@@ -118,7 +119,7 @@ def test_a_policy_of_closures_decides_once_an_episode():
     [
         ({"goal": [1.0, -1.0]}, r"closure range goal = \[1.0, -1.0\] must be a range"),
         ({"goal": [0.0]}, "goal"),
-        ({"goal": ["low", "high"]}, "invalid closure ranges"),
+        ({"goal": ["low", "high"]}, "invalid Closures"),
         ({"duration": [1.0, float("nan")]}, "duration"),
         ({"duration": [-2.0, 4.0]}, "duration"),
         ({"speed": [0.0, 1.0]}, "unexpected keyword argument .speed."),
@@ -127,33 +128,21 @@ def test_a_policy_of_closures_decides_once_an_episode():
 )
 def test_ranges_that_are_none_are_refused(ranges, complaint):
     with pytest.raises(PolicyError, match=complaint):
-        Closures.of(ranges)
+        from_description(Closures, ranges)
 
 
-@pytest.fixture(scope="module")
-def described():
-    env = gymnasium.make("HPAC-Grasp-v0", engine="mujoco")
-    yield made_for(env)
-    env.close()
-
-
-def test_a_file_for_another_order_of_servos_is_told_by_its_difference(described):
-    other = described | {"action": ["index_mcp"]}
-    assert difference(other, described).startswith("action was ['index_mcp'], and is")
-
-
-def test_the_first_entry_that_differs_is_named(described):
-    entries = [list(entry) for entry in described["observation"]]
+def test_the_first_difference_between_two_environments_is_named():
+    with gymnasium.make("HPAC-Grasp-v0", engine="mujoco") as env:
+        made = made_for(env)
+    other = made | {"action": ["index_mcp"]}
+    assert difference(other, made).startswith("action was ['index_mcp'], and is")
+    entries = [list(entry) for entry in made["observation"]]
     entries[21][4] = 9.0
-    said = difference(described | {"observation": entries}, described)
-    assert (
-        said
-        == "observation entry 21 was object_pos x [0.05 m] -4…9, and is object_pos x [0.05 m] -4…4"
-    )
-    assert difference(described | {"observation": entries[:-1]}, described) is not None
-    assert difference(
-        described, described | {"observation": described["observation"][:-1]}
-    ).endswith("and is none")
+    said = "entry 21 was object_pos x [0.05 m] -4…9, and is object_pos x [0.05 m] -4…4"
+    assert difference(made | {"observation": entries}, made) == f"observation {said}"
+    shorter = made | {"observation": made["observation"][:-1]}
+    assert "was none, and is" in difference(shorter, made)
+    assert difference(made, shorter).endswith("and is none")
 
 
 def test_a_range_of_one_value_has_a_decision_and_one_beyond_an_action_is_refused():

@@ -7,6 +7,7 @@ from hpac_gym.evaluation.evaluate import evaluate
 from hpac_gym.policies import LearnedPolicy, PolicyError
 from hpac_gym.policies.increments import Increments
 from hpac_gym.policies.loading import load_policy
+from hpac_gym.policies.policy_file import from_description
 from hpac_gym.registration import GENTLE
 from tests.policies.episodes import actions_of
 
@@ -66,20 +67,20 @@ def test_worlds_begin_when_they_do_and_predicting_twice_gives_the_same():
 )
 def test_other_numbers_are_refused_in_one_line(told, says):
     with pytest.raises(PolicyError, match=says) as caught:
-        Increments.of(told)
+        from_description(Increments, told)
     assert "\n" not in str(caught.value)
 
 
 def test_it_needs_what_it_feels_and_the_mean_of_the_first():
     """Without the servos' load, or without what it remembers, it holds fewer."""
     options = {"engine": "mujoco", "body": "light", "obs": "load"}
-    whole = evaluate(["gentle"], GENTLE, 40, seed_start=7_000, options=options)
-    blind = evaluate([f"{__name__}:blind"], GENTLE, 40, seed_start=7_000, options=options)
+    whole = evaluate(["gentle"], GENTLE, 20, seed_start=7_000, options=options)
+    blind = evaluate([f"{__name__}:blind"], GENTLE, 20, seed_start=7_000, options=options)
     held, without = (
         sum(one.success for one in found.episodes["learned"]) for found in (whole, blind)
     )
-    assert held >= 15
-    assert held >= without + 8
+    assert held >= 8
+    assert held >= without + 5
 
 
 def blind(env):

@@ -95,7 +95,6 @@ DAMAGE = {
     "cut in half": lambda path: path.write_bytes(path.read_bytes()[: path.stat().st_size // 2]),
     "a flipped byte": lambda path: path.write_bytes(flip(path.read_bytes(), 600)),
     "another archive": lambda path: pack(path, {"a.txt": "a"}),
-    "a folder in the archive": lambda path: pack_folder(path),
     "no weights": lambda path: pack(
         path, {"policy.json": '{"format": 2, "sha256": "", "env_id": ""}'}
     ),
@@ -132,13 +131,6 @@ def reweigh(path, packed=None, **changes):
         packed = changed.getvalue()
     sha256 = hashlib.sha256(packed).hexdigest()
     rewrite(path, actor=lambda data: packed, policy=edit(sha256=sha256))
-
-
-def pack_folder(path):
-    with tarfile.open(path, "w:gz") as archive:
-        entry = tarfile.TarInfo("policy.json")
-        entry.type = tarfile.DIRTYPE
-        archive.addfile(entry)
 
 
 def flip(data: bytes, at: int) -> bytes:
