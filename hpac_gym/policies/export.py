@@ -38,14 +38,17 @@ def export(
         OutputError: The folder cannot be written.
     """
     policy = read_policy(path)
-    judged = None if evaluation is None else _evaluation(evaluation, policy.about["sha256"])
     video = b"" if film is None else _film(film)
     try:
+        judged = None if evaluation is None else _evaluation(evaluation, policy.about["sha256"])
         told = card(policy, judged)
         text = page(told, bool(video))
-    except (LookupError, TypeError, ValueError, AttributeError) as error:
+    except PolicyError:
+        raise
+    except (LookupError, TypeError, ValueError, AttributeError, RecursionError) as error:
+        what = "a policy" if evaluation is None else "a result of hpac evaluate"
         raise PolicyError(
-            f"'{evaluation or path}' is damaged, no card can be made of it: {error!r}"
+            f"'{evaluation or path}' is not {what}, or is damaged: no card can be made of it: {error!r}"
         ) from None
     files = {
         MODEL: onnx_model(policy).SerializeToString(),
@@ -205,20 +208,13 @@ def page(told: dict[str, Any], film: bool) -> str:
 
 
 def _evaluation(path: Path, sha256: str) -> dict[str, Any]:
-    try:
-        judged: dict[str, Any] = json.loads(read_text(path, "evaluation", PolicyError))
-        if "files" in judged:
-            raise PolicyError(
-                f"'{path}' compares {len(judged['files'])} policies: evaluate this one alone"
-            )
-        judged["policies"]["learned"], judged["first_seed"], judged["last_seed"]
-        of = judged["policy"]
-        weights = str(of["sha256"] if "sha256" in of else of["weights_sha256"])  # of a card
-    except PolicyError:
-        raise
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
-        reason = f"no {error}" if isinstance(error, KeyError) else error
-        raise PolicyError(f"'{path}' is not a result of hpac evaluate: {reason}") from None
+    judged: dict[str, Any] = json.loads(read_text(path, "evaluation", PolicyError))
+    if "files" in judged:
+        raise PolicyError(
+            f"'{path}' compares {len(judged['files'])} policies: evaluate this one alone"
+        )
+    of = judged["policy"]
+    weights = str(of["sha256"] if "sha256" in of else of["weights_sha256"])  # of a card
     if weights != sha256:
         raise PolicyError(
             f"'{path}' evaluates other weights, {weights[:12]}…, than those of the policy, {sha256[:12]}…"
