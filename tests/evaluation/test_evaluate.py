@@ -17,7 +17,7 @@ from hpac_gym.evaluation.environment import make_env
 from hpac_gym.evaluation.episodes import run_episodes, single
 from hpac_gym.evaluation.evaluate import BLOCK, evaluate, results, table
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
-from hpac_gym.evaluation.statistics import wilson_interval
+from hpac_gym.evaluation.statistics import success_counts, wilson_interval
 from hpac_gym.policies.loading import load_policy
 from tests.envs.episodes import steps
 from tests.options import called
@@ -120,9 +120,10 @@ def test_every_worker_has_work_and_the_bar_moves_early(
 
 
 def test_a_policy_is_called_as_it_was_given_and_no_phases_are_told_of_a_task_without(capsys):
-    words = ["--engine", "mujoco", "--episodes", "2", "--workers", "1"]
+    words = ["--randomize", "hand", "--episodes", "2", "--workers", "1"]
     assert main(["--policy", "posture", "--env", "HPAC-Posture-v1", *words]) == 0
-    table_of, *_ = capsys.readouterr().out.split("\n\n")
+    table_of, options, *_ = capsys.readouterr().out.split("\n\n")
+    assert options == "Options: randomize hand, engine mujoco, body twin."
     head, _, first, *_ = table_of.splitlines()
     assert first.startswith("| posture | 2 |")
     assert "phase" not in head
@@ -130,11 +131,23 @@ def test_a_policy_is_called_as_it_was_given_and_no_phases_are_told_of_a_task_wit
     assert {line.count("|") for line in table_of.splitlines()} == {6}
 
 
-@pytest.mark.parametrize("seconds", [pytest.param(0.0, marks=pytest.mark.slow), 3.0])
+ENDLESS = [
+    "evaluate",
+    "--policy",
+    "random",
+    "--env",
+    TINY,
+    "--episodes",
+    "100000",
+    "--workers",
+    "2",
+]
+
+
+@pytest.mark.parametrize("seconds", [pytest.param(0.0, marks=pytest.mark.slow), 1.0])
 def test_ctrl_c_on_a_terminal_ends_an_evaluation_at_once(seconds):
     """While the workers start, and while they work."""
-    words = ["--policy", "scripted", "--engine", "mujoco", "--episodes", "400", "--workers", "2"]
-    with started("-m", "hpac", "evaluate", *words, session=True) as running:
+    with started("-m", "hpac", *ENDLESS, session=True) as running:
         workers = children_of(running, 3)  # with the tracker of their resources
         time.sleep(seconds)
         os.killpg(running.pid, signal.SIGINT)
@@ -143,121 +156,64 @@ def test_ctrl_c_on_a_terminal_ends_an_evaluation_at_once(seconds):
     wait_for_the_end(workers, 10)
 
 
-def test_json_is_one_object_on_standard_output(capsys, tmp_path):
-    out = tmp_path / "new" / "results.json"
-    assert (
-        main(
-            [
-                "--policy",
-                "random",
-                "--env",
-                TINY,
-                "--episodes",
-                "3",
-                "--workers",
-                "1",
-                "--json",
-                "--out",
-                str(out),
-            ]
-        )
-        == 0
-    )
-    printed = json.loads(capsys.readouterr().out)
-    assert printed == json.loads(out.read_text())
-    assert (printed["env_id"], printed["first_seed"]) == (TINY, HELD_OUT_SEED)
+def told(capsys, *words: str) -> dict:
+    """The JSON object that `hpac evaluate` prints of a few episodes."""
+    assert main([*words, "--workers", "1", "--json"]) == 0
+    return json.loads(capsys.readouterr().out)
 
 
 def test_a_policy_without_a_file_is_evaluated_by_its_name(capsys):
-    words = [
-        "--policy",
-        "hpac_gym.evaluation.blind:Blind",
-        "--engine",
-        "mujoco",
-        "--episodes",
-        "2",
-        "--workers",
-        "1",
-    ]
-    assert main([*words, "--no-baselines", "--json"]) == 0
-    printed = json.loads(capsys.readouterr().out)
+    words = ["--policy", "hpac_gym.evaluation.blind:Blind", "--episodes", "2", "--no-baselines"]
+    printed = told(capsys, *words)
     assert (printed["policies"]["learned"]["episodes"], "policy" in printed) == (2, False)
 
 
-def test_several_policies_are_compared_with_the_first_on_the_same_episodes(capsys):
+def test_several_policies_are_compared_with_the_first_on_the_same_episodes(capsys, tmp_path):
     files = ["grasp", str(ROOT / "agents" / "trained" / "grasp-robust.hpac")]
     words = [word for name in (*files, files[0]) for word in ("--policy", name)]
-    assert main([*words, "--engine", "mujoco", "--episodes", "2", "--workers", "1", "--json"]) == 0
-    printed = json.loads(capsys.readouterr().out)
+    out = tmp_path / "new" / "results.json"
+    printed = told(capsys, *words, "--episodes", "2", "--out", str(out))
+    assert printed == json.loads(out.read_text())
+    assert printed["first_seed"] == HELD_OUT_SEED
     assert list(printed["policies"]) == [*files, "scripted", "random"]
     assert [pair["over"] for pair in printed["differences"]] == [files[1], "scripted", "random"]
     assert [each["file"] for each in printed["files"]] == files
 
 
 def test_the_environment_and_its_options_are_those_of_the_first_policy_that_has_some(capsys):
-    words = ["--policy", "scripted", "--policy", "gentle", "--episodes", "1", "--workers", "1"]
-    assert main([*words, "--no-baselines", "--json"]) == 0
-    printed = json.loads(capsys.readouterr().out)
-    assert (printed["env_id"], printed["options"]["obs"]) == ("hpac_gym:HPAC-Gentle-v0", "load")
+    words = ["--policy", "scripted", "--policy", "gentle", "--episodes", "1", "--no-baselines"]
+    printed = told(capsys, *words)
+    assert printed["env_id"] == "hpac_gym:HPAC-Gentle-v0"
+    assert printed["options"] == {"obs": "load", "engine": "mujoco", "body": "twin"}
     assert list(printed["policies"]) == ["scripted", "learned"]
 
 
-def test_the_workers_of_a_killed_evaluation_end(tmp_path):
-    words = ["--policy", "random", "--env", TINY, "--episodes", "100000", "--workers", "2"]
-    with started("-m", "hpac", "evaluate", *words) as running:
+def test_the_workers_of_a_killed_evaluation_end():
+    with started("-m", "hpac", *ENDLESS) as running:
         workers = children_of(running, 3)  # with the tracker of their resources
         time.sleep(0.5)
     wait_for_the_end(workers)
 
 
-def test_a_result_says_on_which_engine_and_body_it_was_found(tmp_path, capsys):
-    out = tmp_path / "results.json"
-    assert (
-        main(
-            f"--policy random --env HPAC-Grasp-v0 --randomize hand --episodes 1 --workers 1 --out {out}".split()
-        )
-        == 0
-    )
-    assert json.loads(out.read_text())["options"] == {
-        "randomize": "hand",
-        "engine": "mujoco",
-        "body": "twin",
-    }
-    assert "Options: randomize hand, engine mujoco, body twin." in capsys.readouterr().out
-
-
-def test_the_table_of_elsewhere_has_a_row_for_every_engine_and_body(capsys, tmp_path):
-    words = [
-        "elsewhere",
-        "--policy",
-        "scripted",
-        "--episodes",
-        "2",
-        "--out",
-        str(tmp_path / "cells.json"),
-    ]
-    assert reproduce.main(words) == 0
-    lines = capsys.readouterr().out.splitlines()
-    cells = json.loads((tmp_path / "cells.json").read_text())
-    engines = [engine for engine in ("pybullet", "mujoco") if find_spec(engine)]
-    assert len(lines) == 2 + len(cells) / 3
-    assert len(cells) == 3 * (1 + len(engines))
-    assert all(cell["episodes"] == 2 for cell in cells)
-    assert "| scripted | mujoco light |" in lines[-1]
-
-
-def test_a_policy_is_judged_elsewhere_with_the_options_that_it_needs(monkeypatch):
+def test_the_table_of_elsewhere_has_a_row_for_every_engine_and_body(capsys, tmp_path, monkeypatch):
+    """A policy is judged with the options that it needs."""
     given = []
-    cell = {"policies": {"learned": {"successes": 1, "episodes": 2}}}
 
     def evaluated(names, env_id, episodes, *, workers, options):
         given.append(options)
-        return SimpleNamespace(summary=lambda: cell)
+        return SimpleNamespace(summary=lambda: {"policies": {"learned": success_counts(1, 2)}})
 
     monkeypatch.setattr(reproduce, "evaluate", evaluated)
-    assert reproduce.main(["elsewhere", "--policy", "gentle"]) == 0
-    assert {options["obs"] for options in given} == {"load"}
+    out = tmp_path / "cells.json"
+    assert reproduce.main(["elsewhere", "--policy", "gentle", "--out", str(out)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [{**cell, "obs": "load"} for cell in json.loads(out.read_text())] == [
+        {"policy": "gentle", **options, **success_counts(1, 2)} for options in given
+    ]
+    engines = [engine for engine in ("pybullet", "mujoco") if find_spec(engine)]
+    assert len(given) == 3 * (len(lines) - 2) == 3 * (1 + len(engines))
     assert {options["randomize"] for options in given} == {"nominal", "hand", "full"}
+    assert lines[-1].startswith("| gentle | mujoco light | 50.0% (")
 
 
 def test_the_table_of_seeds_has_a_row_for_every_run_and_sums_them_up(capsys, tmp_path):
