@@ -19,12 +19,16 @@ from hpac_gym.calibration.posterior import (
     read_draws,
     report_folder,
 )
+from hpac_gym.calibration.protocol import Protocol
 from hpac_gym.evaluation.forecast import OF
 from hpac_gym.evaluation.statistics import predicted_rate
 from hpac_gym.model import HPAC, JOINT_INDEX, hand_to_toml, load_hand
 from hpac_gym.model.settled import settled_joints_from_servo
 from hpac_gym.output import write_text
 from tests.options import refused
+
+SHORT = Protocol(points=13)
+"""A sweep with fewer points than usual."""
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +40,7 @@ def built() -> Built:
 
 @pytest.fixture(scope="module")
 def found(built):
-    return identify(metal_sweeps([built], 5)[0], hold_out=True, draws=30)
+    return identify(metal_sweeps([built], 5, protocol=SHORT)[0], hold_out=True, draws=12)
 
 
 @pytest.fixture
@@ -54,7 +58,7 @@ def file(tmp_path, found):
 def coverage(spread_known: bool, rng: np.random.Generator) -> float:
     """Share of hands whose 1,000 episodes lie in the interval that 40 others of their kind give."""
     inside = []
-    for _ in range(100):
+    for _ in range(40):
         mean = rng.uniform(0.2, 0.95)
         share = 0.02
         rates = rng.beta(mean * (1 / share - 1), (1 - mean) * (1 / share - 1), 41)
@@ -108,19 +112,17 @@ def test_virtual_hands_scatter_about_the_true_one_as_far_as_the_sweep_is_off(bui
 
 
 def test_draws_are_the_same_every_time_and_cost_nothing_if_not_asked_for(built, found):
-    record = metal_sweeps([built], 5, servos=("index_mcp",))[0]
-    again = identify(record, hold_out=True, draws=4)
+    record = metal_sweeps([built], 5, protocol=SHORT, servos=("index_mcp",))[0]
+    first, again = (identify(record, draws=4) for _ in range(2))
     assert len(identify(record).fits["index"].draws) == 0
-    assert again.fits["index"].draws == pytest.approx(
-        identify(record, hold_out=True, draws=4).fits["index"].draws
-    )
+    assert again.fits["index"].draws == pytest.approx(first.fits["index"].draws)
     assert again.cmc_draws is None
     assert drawn_hands(again.hand, draws_of(again))[3].digits["ring"] == HPAC.digits["ring"]
 
 
 def test_the_file_beside_a_hand_gives_its_virtual_hands(file, found):
     hands = read_draws(file, load_hand(file))
-    assert len(hands) == 30
+    assert len(hands) == 12
     assert hands[7].digits["index"].alpha == pytest.approx(
         drawn_hands(found.hand, draws_of(found))[7].digits["index"].alpha
     )
