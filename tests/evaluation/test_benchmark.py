@@ -23,7 +23,7 @@ from hpac_gym.evaluation.evaluate import evaluate
 from hpac_gym.evaluation.results import comparison, faults, table
 from hpac_gym.evaluation.splits import ResultsError, env_hash, splits_of
 from hpac_gym.evaluation.statistics import wilson_interval
-from hpac_gym.policies import Closures, PolicyError, PolicyFile, read_policy, write_policy
+from hpac_gym.policies import Actor, Closures, PolicyError, PolicyFile, write_policy
 from hpac_gym.policies.export import export
 from hpac_gym.policies.policy import EpisodePolicy
 from hpac_gym.registration import GRASP_ANY, GRASP_TYPE, POSTURE
@@ -148,48 +148,32 @@ def test_an_interrupted_call_goes_on_after_its_last_cell(tmp_path, trained, judg
 
 
 @pytest.fixture
-def partial(tmp_path):
+def partial(tmp_path, monkeypatch):
     """A results file from a machine without PyBullet."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(
-            splits.SPLITS, TINY, {"one": {}, "two": {}, "PyBullet": {"engine": "pybullet"}}
-        )
-        patch.setattr(benchmark, "is_installed", lambda engine: engine != "pybullet")
-        env_hash.cache_clear()
-        with pytest.warns(UserWarning, match="not installed: the file will lack PyBullet"):
-            results = submit(tmp_path / "results.json", policy="random")
-        yield results
+    of_tiny = {"one": {}, "two": {}, "PyBullet": {"engine": "pybullet"}}
+    monkeypatch.setitem(splits.SPLITS, TINY, of_tiny)
+    monkeypatch.setattr(benchmark, "is_installed", lambda engine: engine != "pybullet")
+    env_hash.cache_clear()
+    with pytest.warns(UserWarning, match="not installed: the file will lack PyBullet"):
+        results = submit(tmp_path / "results.json", policy="random")
+    yield results
     env_hash.cache_clear()
 
 
-def test_a_file_without_pybullet_is_valid_and_marked(partial):
+def test_a_file_without_pybullet_is_valid_marked_and_compared_on_what_both_have(partial):
     assert not list(faults(partial))
     assert partial["left_out"] == ["PyBullet"]
     assert [cell["split"] for cell in partial["cells"]] == ["one", "two"]
     assert [row["split"] for row in partial["summary"]] == ["one", "two", "all splits"]
     assert "**partial: without PyBullet**" in table(partial).splitlines()[0]
-    whole = copy.deepcopy(partial)
-    del whole["left_out"]
-    assert "split 'PyBullet' of seed 0 is missing" in list(faults(whole))
-
-
-@pytest.mark.parametrize(
-    ("left_out", "told"),
-    [
+    for left_out, told in (
         (["one"], "split 'one' is left out: only those of PyBullet may be"),
         (["three"], "left_out names 'three', which is no split"),
         ([], "split 'PyBullet' of seed 0 is missing"),
-    ],
-)
-def test_nothing_but_pybullet_may_be_left_out(partial, left_out, told):
-    assert told in list(faults(partial | {"left_out": left_out}))
-
-
-def test_a_partial_file_is_compared_on_what_both_have(partial):
-    whole = copy.deepcopy(partial)
-    del whole["left_out"]
-    whole["cells"].append(whole["cells"][0] | {"split": "PyBullet"})
-    told = comparison(partial, whole)
+    ):
+        assert told in list(faults(partial | {"left_out": left_out}))
+    cells = [*partial["cells"], partial["cells"][0] | {"split": "PyBullet"}]
+    told = comparison(partial, partial | {"cells": cells, "left_out": []})
     assert told.endswith(": 0.50"), "one run of each has no spread, and no interval of width 0"
 
 
@@ -389,58 +373,38 @@ def test_what_training_leaves_out_of_an_episode_of_any_objects_changes_few_outco
     assert (held[0] != held[1]).mean() < 0.05
 
 
+def policy_file(path, **about):
+    """Write a policy of Tiny-v0."""
+    layers = ((np.eye(6, dtype=np.float32), np.zeros(6, np.float32)),)
+    actor = Actor(np.zeros(6), np.ones(6), 5.0, layers, 2.0)
+    write_policy(path, PolicyFile(actor, {"env_id": TINY, **about}))
+    return path
+
+
 def test_five_runs_of_one_seed_are_refused_before_they_are_judged(tmp_path):
-    grasp = read_policy("grasp")
     for seed in range(5):
-        write_policy(
-            tmp_path / f"{seed}.hpac", PolicyFile(grasp.actor, grasp.about | {"seconds": seed})
-        )
-    words = ["--policy", f"{tmp_path}/{{seed}}.hpac", "--budget", "1e5", "--out", "r.json"]
+        policy_file(tmp_path / f"{seed}.hpac", seconds=seed)
     with pytest.raises(ResultsError, match="two of its 5 runs have the same weights"):
-        main(["HPAC-Grasp-v0", *words])
+        submit(tmp_path / "r.json", "--budget", "1e5", policy=f"{tmp_path}/{{seed}}.hpac")
 
 
 def test_an_exported_policy_is_a_file_with_its_steps_and_a_baseline_s_name_is_none(
     tmp_path, capsys, monkeypatch
 ):
     pytest.importorskip("onnxruntime")
-    for name in ("judged_splits", "summary"):
-        monkeypatch.setattr(f"hpac_gym.evaluation.benchmark.{name}", lambda results: [])
-    grasp = read_policy("grasp")
-    write_policy(
-        tmp_path / "policy.hpac", PolicyFile(grasp.actor, grasp.about | {"env_steps": 9_000})
-    )
-    export(tmp_path / "policy.hpac", tmp_path / "out")
+    export(policy_file(tmp_path / "policy.hpac", env_steps=9_000), tmp_path / "out")
     (tmp_path / "random").write_text("a file of that name")
     monkeypatch.chdir(tmp_path)
     for policy, known in (("out", 1), ("random", 0)):
-        assert main(["HPAC-Grasp-v0", "--policy", policy, "--out", f"{policy}.json"]) == 0
-        files = json.loads(Path(f"{policy}.json").read_text())["files"]
-        assert [file["env_steps"] for file in files] == [9_000] * known
+        results = submit(Path(f"{policy}.json"), policy=policy)
+        assert [file["env_steps"] for file in results["files"]] == [9_000] * known
         told = capsys.readouterr()
         assert ("trained for 9,000 steps, over the budget of 0" in told.err) == bool(known)
         assert ("no budget named" if known else "not trained") in told.out
 
 
-def test_the_same_weights_in_a_file_that_was_written_again_are_the_same_policy(
-    tmp_path, monkeypatch
-):
-    for name in ("judged_splits", "summary"):
-        monkeypatch.setattr(f"hpac_gym.evaluation.benchmark.{name}", lambda results: [])
-    grasp = read_policy("grasp")
-    file = tmp_path / "policy.hpac"
+def test_the_same_weights_in_a_file_that_was_written_again_are_the_same_policy(tmp_path, judged):
     for seconds in (1, 2):
-        write_policy(file, PolicyFile(grasp.actor, grasp.about | {"seconds": seconds}))
-        words = ["--policy", str(file), "--out", str(tmp_path / "results.json")]
-        assert main(["HPAC-Grasp-v0", *words]) == 0
-
-
-@pytest.mark.parametrize(("steps", "said"), [(1, True), (0, False)])
-def test_a_policy_over_the_budget_is_told(steps, said, tmp_path, capsys, monkeypatch):
-    file = {"sha256": "", "env_steps": steps}
-    for name, value in (("judged_splits", []), ("summary", []), ("_file", file)):
-        monkeypatch.setattr(f"hpac_gym.evaluation.benchmark.{name}", lambda *args, v=value: v)
-    assert main(["HPAC-Grasp-v0", "--policy", "grasp", "--out", str(tmp_path / "r.json")]) == 0
-    told = capsys.readouterr()
-    assert ("trained for 1 steps, over the budget of 0" in told.err) == said
-    assert "no budget named" in told.out
+        file = policy_file(tmp_path / "policy.hpac", seconds=seconds)
+        submit(tmp_path / "results.json", policy=str(file))
+    assert len(judged) == 2
