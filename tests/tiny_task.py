@@ -2,9 +2,11 @@
 observation points.
 """
 
+from typing import ClassVar
+
 import gymnasium
 import numpy as np
-from gymnasium.spaces import Box
+from gymnasium.spaces import Box, Dict
 
 
 class Tiny(gymnasium.Env):
@@ -43,5 +45,32 @@ class Other(Tiny):
         return np.append(observation, np.float32(0)), *rest
 
 
+class Filmed(Tiny):
+    """The same with pictures."""
+
+    metadata: ClassVar = {"render_modes": ["rgb_array"]}
+
+    def __init__(self, render_mode):
+        self.render_mode = render_mode
+
+    def render(self):
+        return np.full((32, 32, 3), 20 * self._count, np.uint8)
+
+
+class Seeing(gymnasium.Env):
+    """Episodes of one step, in which it observes a picture beside a vector."""
+
+    observation_space = Dict(deploy=Box(-1, 1, (3,)), image=Box(0, 255, (36, 36, 3), np.uint8))
+    action_space = Box(-1, 1, (6,))
+
+    def reset(self, seed=None, options=None):
+        return self.observation_space.sample(), {}
+
+    def step(self, action):
+        return self.observation_space.sample(), 0.0, True, False, {}
+
+
+gymnasium.register("Filmed-v0", Filmed)
+gymnasium.register("Seeing-v0", Seeing)
 gymnasium.register("Tiny-v0", Tiny)
 gymnasium.register("Other-v0", Other)
