@@ -11,10 +11,10 @@ from hpac import main
 from hpac_gym.command import USAGE_ERROR
 
 
-def help_of(name: str) -> str:
-    """What a command of `hpac` tells with ``--help``."""
+def help_of(*name: str) -> str:
+    """What `hpac`, or one of its commands, tells with ``--help``."""
     with redirect_stdout(StringIO()) as told, pytest.raises(SystemExit):
-        main([name, "--help"])
+        main([*name, "--help"])
     return told.getvalue()
 
 

@@ -5,67 +5,84 @@ what happened.
 import json
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
 import tomllib
 from importlib import metadata
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
 import hpac_gym
-from hpac import COMMANDS, GROUPS, main
+from hpac import COMMANDS, GROUPS, completion, main
 from hpac_gym.command import USAGE_ERROR, run
 from hpac_gym.errors import EXTRA_OF, WorkspaceError
-from tests.options import help_of
+from tests.options import help_of, refused
 from tests.processes import ROOT, python
 
 POSED = ["--object", "cylinder:0.02,0.05", "--pose", "0.05,0.005,0.11"]
 NAMES = [command.name for command in COMMANDS]
 HEAVY = {"numpy", "scipy", "matplotlib", "gymnasium", "pybullet", "mujoco", "torch"}
-FULL = Path("/dev/full")
 
 
-def hpac(*words: str, **options) -> subprocess.CompletedProcess[str]:
-    return python("-m", "hpac", *words, **options)
+REFUSING = """
+import importlib.abc, sys
 
+class Refuse(importlib.abc.MetaPathFinder):
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in refused:
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 
-LISTS_MODULES = """
-import sys, hpac
-for words in sys.argv[1:]:
-    try:
-        hpac.main(words.split())
-    except SystemExit:
-        pass
-    finally:
-        print(*sys.modules, file=sys.stderr)
+refused = set(sys.argv[1].split(","))
+sys.meta_path.insert(0, Refuse())
 """
+LISTS_MODULES = (
+    REFUSING
+    + """
+import hpac
+for words in sys.argv[2:]:
+    try:
+        status = hpac.main(words.split())
+    except SystemExit as left:
+        status = left.code
+    print(f"status {status}: {words}: ", *sys.modules, flush=True)
+"""
+)
 
 
-def heavy(done: subprocess.CompletedProcess[str]) -> set[str]:
-    """Which of the heavy packages a run of `LISTS_MODULES` loaded."""
-    assert done.returncode == 0, done.stderr
-    return HEAVY & set(done.stderr.split())
+def loaded(done: subprocess.CompletedProcess[str]) -> dict[str, set[str]]:
+    """The modules that `LISTS_MODULES` has loaded, by status and words of each command."""
+    found = re.findall(r"^(status \w+: .*):  (.*)", done.stdout, re.M)
+    return {words: set(modules.split()) for words, modules in found}
 
 
 def test_the_list_of_commands_loads_no_heavy_package():
-    assert heavy(python("-c", LISTS_MODULES, "--help", "nonsense")) == set()
+    done = python("-c", LISTS_MODULES, "", "--help", "nonsense")
+    found = loaded(done)
+    assert list(found) == ["status 0: --help", "status 2: nonsense"]
+    assert not HEAVY & set.union(*found.values())
 
 
-def test_the_help_of_a_command_loads_no_engine_and_no_learner():
+def test_the_help_of_a_command_needs_no_extra_and_loads_no_engine():
     """One after the other in one interpreter: the first one named is to blame."""
-    done = python("-c", LISTS_MODULES, *(f"{name} --help" for name in NAMES))
+    refused = ",".join({*EXTRA_OF, "viser"})
+    done = python(
+        "-c", LISTS_MODULES, refused, *(f"{name} --help" for name in NAMES), "posture all"
+    )
+    *helps, (needing, modules) = loaded(done).items()
+    assert [words for words, _ in helps] == [f"status 0: {name} --help" for name in NAMES]
     assert re.findall(r"^usage: hpac (\w+)", done.stdout, re.M) == NAMES
-    assert heavy(done) >= {"numpy", "gymnasium"}
-    loaded = zip(NAMES, done.stderr.splitlines(), strict=True)
-    assert [
-        name for name, modules in loaded if {"pybullet", "mujoco", "torch"} & set(modules.split())
-    ] == []
+    assert modules >= {"numpy", "gymnasium"}
+    assert [words for words, found in helps if {"pybullet", "mujoco"} & found] == []
+    assert needing == "status 2: posture all", "something of what is refused is needed elsewhere"
+    assert done.stderr.startswith("error: this command needs more: pip install '.[study]'")
 
 
 def test_help_lists_every_command_with_its_line_by_group():
-    said = hpac("--help").stdout
+    said = help_of()
     assert {row.group for row in COMMANDS} == set(GROUPS)
     for group, about in GROUPS.items():
         listed = said.partition(f"\n{group}: {about}\n")[2].partition("\n\n")[0]
@@ -74,7 +91,7 @@ def test_help_lists_every_command_with_its_line_by_group():
 
 
 def test_completion_knows_commands_options_and_files():
-    script = hpac("--completion").stdout
+    script = completion()
 
     def completed(*words: str) -> list[str]:
         ask = f"COMP_WORDS=({' '.join(words)!s}); COMP_CWORD={len(words) - 1}; _hpac; echo ${{COMPREPLY[@]}}"
@@ -91,8 +108,7 @@ def test_completion_knows_commands_options_and_files():
 
 @pytest.mark.skipif(shutil.which("zsh") is None, reason="no zsh")
 def test_completion_is_registered_in_a_bare_zsh():
-    script = hpac("--completion").stdout
-    words = ["zsh", "-f", "-c", f"{script}\nprint -r -- $_comps[hpac]"]
+    words = ["zsh", "-f", "-c", f"{completion()}\nprint -r -- $_comps[hpac]"]
     done = subprocess.run(words, capture_output=True, text=True, check=True)
     assert (done.stdout, done.stderr) == ("_bash_complete -o default -F _hpac\n", "")
 
@@ -113,14 +129,19 @@ def test_a_command_runs_in_a_folder_that_was_deleted(tmp_path):
     assert "usage: hpac estop" in done.stdout
 
 
-def test_without_a_command_the_list_is_told():
-    done = hpac()
-    assert (done.returncode, done.stdout) == (2, "")
-    assert all(f"  {row.name} " in done.stderr for row in COMMANDS)
+def test_without_a_command_the_list_is_told(capsys):
+    with pytest.raises(SystemExit, match=str(USAGE_ERROR)):
+        main([])
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert all(f"  {row.name} " in told.err for row in COMMANDS)
 
 
-def test_the_version_is_that_of_the_package():
-    assert hpac("--version").stdout == f"hpac_gym {hpac_gym.__version__}\n"
+def test_the_version_and_the_completion_are_told(capsys):
+    for option in ("--version", "--completion"):
+        with pytest.raises(SystemExit, match="0"):
+            main([option])
+    assert capsys.readouterr().out == f"hpac_gym {hpac_gym.__version__}\n{completion()}\n"
     assert metadata.version("hpac_gym") == hpac_gym.__version__
 
 
@@ -157,40 +178,23 @@ def test_json_is_all_that_a_command_prints(words, names, capsys):
     assert list(json.loads(line)) == names
 
 
-def test_json_of_a_deployment_its_replay_and_a_film(tmp_path, capsys):
-    pytest.importorskip("imageio")
+def test_json_of_a_deployment_and_its_replay(tmp_path, capsys):
     log = str(tmp_path / "log.jsonl")
-    film = str(tmp_path / "film.gif")
-    for words in (
-        ["deploy", "grasp", *POSED, "--port", "virtual", "--log", log],
-        ["replay", log],
-        ["show", "--episodes", "1", "--record", film],
-    ):
+    for words in (["deploy", "grasp", *POSED, "--port", "virtual", "--log", log], ["replay", log]):
         assert main([*words, "--json"]) == 0
-    _, counts, replayed, episode, written = map(json.loads, capsys.readouterr().out.splitlines())
+    _, counts, replayed = map(json.loads, capsys.readouterr().out.splitlines())
     assert counts["commands"] == replayed["steps"] > 0
-    assert (counts["refused"], counts["log"]) == (0, log)
-    assert (replayed["end"], episode["success"]) == ("done", True)
-    assert written == {"written": film}
+    assert (counts["refused"], counts["log"], replayed["end"]) == (0, log, "done")
 
 
-def raising(error: BaseException):
-    def command() -> int:
-        raise error
-
-    return command
-
-
-def test_the_status_is_the_commands_own():
-    assert run(lambda: 0) == 0
-    assert run(lambda: 7) == 7
-
-
-def test_an_error_on_purpose_is_one_line_and_any_other_is_not_hidden(capsys):
-    assert run(raising(WorkspaceError("2 rad\n  above 1 rad"))) == USAGE_ERROR
+def test_the_status_is_the_command_s_an_error_on_purpose_one_line_and_any_other_is_not_hidden(
+    capsys,
+):
+    assert [run(lambda status=status: status) for status in (0, 7)] == [0, 7]
+    assert run(Mock(side_effect=WorkspaceError("2 rad\n  above 1 rad"))) == USAGE_ERROR
     assert capsys.readouterr().err == "error: 2 rad above 1 rad\n"
     with pytest.raises(ValueError, match="a bug"):
-        run(raising(ValueError("a bug")))
+        run(Mock(side_effect=ValueError("a bug")))
 
 
 SWALLOWS = """
@@ -237,23 +241,27 @@ def printing(times: int, flush: bool) -> str:
     return SCRIPT.format(words="word ", times=times, flush=flush, path=os.devnull)
 
 
-@pytest.mark.skipif(not FULL.exists(), reason="no device that is always full")
+NO_SPACE = "No space left on device"
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
 @pytest.mark.parametrize(
-    ("words", "unbuffered"),
+    ("words", "output", "reason"),
     [
-        (["-m", "hpac", "--help"], "1"),
-        (["-m", "hpac", "--version"], ""),
-        *((["-c", printing(n, flush)], "") for n in (1, 100_000) for flush in (True, False)),
+        (["-u", "-m", "hpac", "--help"], "> /dev/full", NO_SPACE),
+        (["-m", "hpac", "--version"], "> /dev/full", NO_SPACE),
+        (["-c", printing(1, False)], "> /dev/full", NO_SPACE),
+        (["-c", printing(1, True)], "> /dev/full", NO_SPACE),
+        (["-c", printing(100_000, False)], "> /dev/full", NO_SPACE),
+        (["-m", "hpac", "--help"], ">&-", "it is closed"),
     ],
-    ids=["help", "version", "short, flushed", "short", "long, flushed", "long"],
+    ids=["help", "version", "short", "short, flushed", "long", "closed"],
 )
-def test_a_full_standard_output_is_one_line_and_status_2(words, unbuffered):
-    with FULL.open("w") as full:
-        done = python(*words, stdout=full, PYTHONUNBUFFERED=unbuffered)
-    assert (done.returncode, done.stderr) == (
-        USAGE_ERROR,
-        "error: cannot write to standard output: No space left on device\n",
-    )
+def test_a_full_or_closed_standard_output_is_one_line_and_status_2(words, output, reason):
+    command = f"{shlex.join([sys.executable, *words])} {output}"
+    done = subprocess.run(command, shell=True, stderr=subprocess.PIPE, text=True, timeout=600)
+    complaint = f"error: cannot write to standard output: {reason}\n"
+    assert (done.returncode, done.stderr) == (USAGE_ERROR, complaint)
 
 
 def test_a_fault_of_another_file_is_not_taken_for_one_of_standard_output():
@@ -263,20 +271,10 @@ def test_a_fault_of_another_file_is_not_taken_for_one_of_standard_output():
     assert done.stdout == "word\n"
 
 
-@pytest.mark.parametrize("words", [("wiggle", "--help"), ("doctor",)])
-def test_an_output_without_some_signs_is_no_traceback(words):
-    done = hpac(*words, PYTHONIOENCODING="ascii")
-    assert "Traceback" not in done.stderr
-    assert done.stdout
-
-
-def test_a_closed_output_is_one_line_and_status_2():
-    command = f"exec {sys.executable} -m hpac --help >&-"
-    done = subprocess.run(command, shell=True, stderr=subprocess.PIPE, text=True, timeout=600)
-    assert (done.returncode, done.stderr) == (
-        USAGE_ERROR,
-        "error: cannot write to standard output: it is closed\n",
-    )
+def test_an_output_without_some_signs_is_no_traceback():
+    done = python("-m", "hpac", "sweep", "--help", PYTHONIOENCODING="ascii")
+    assert done.stderr == ""
+    assert "\\u2026" in done.stdout
 
 
 @pytest.mark.parametrize("stream", ["out", "err"])
@@ -294,37 +292,29 @@ def test_only_a_reader_of_the_output_that_leaves_ends_a_command_without_an_error
     assert not done.stderr
 
 
-WITHOUT_PACKAGES = """
-import sys, hpac
-sys.modules |= {"matplotlib": None, "PIL": None}
-for words in sys.argv[1:]:
-    print(hpac.main(words.split()), flush=True)
-sys.modules["hpac_gym.calibration.sweep"] = None
-hpac.main(["sweep", "--record", "x.csv"])
-"""
+@pytest.mark.parametrize(
+    ("words", "extra", "package"),
+    [
+        ("sweep --record x.csv", "study", "matplotlib"),
+        ("calibrate x.csv", "study", "matplotlib"),
+        ("posture all", "study", "matplotlib"),
+        ("grasps -n 1", "grasps", "PIL"),
+    ],
+)
+def test_without_its_packages_a_command_says_what_it_needs(
+    words, extra, package, monkeypatch, capsys
+):
+    monkeypatch.setitem(sys.modules, package, None)
+    monkeypatch.delitem(sys.modules, "hpac_gym.evaluation.pictures", raising=False)
+    needs = f"pip install '.[{extra}]' in a checkout of hpac_gym (no module {package})"
+    said = refused(capsys, lambda: main(words.split()))
+    assert said == f"error: this command needs more: {needs}"
 
 
-def test_without_its_packages_a_command_says_what_it_needs():
-    """One after the other in one interpreter; a missing module of this package is a bug and no
-    missing extra.
-    """
-    study = ("study", "matplotlib")
-    grasps = ("grasps", "PIL")
-    needs = {
-        "sweep --record x.csv": study,
-        "calibrate x.csv": study,
-        "posture all": study,
-        "grasps -n 1": grasps,
-    }
-    done = python("-c", WITHOUT_PACKAGES, *needs)
-    assert done.stdout.split() == [str(USAGE_ERROR)] * len(needs)
-    *told, bug = done.stderr.split("\n", len(needs))
-    assert told == [
-        f"error: this command needs more: pip install '.[{e}]' in a checkout of hpac_gym (no module {p})"
-        for e, p in needs.values()
-    ]
-    assert bug.startswith("Traceback")
-    assert "ModuleNotFoundError" in bug
+def test_a_missing_module_of_this_package_is_a_bug_and_no_missing_extra(monkeypatch):
+    monkeypatch.setitem(sys.modules, "hpac_gym.calibration.sweep", None)
+    with pytest.raises(ModuleNotFoundError):
+        main(["sweep", "--record", "x.csv"])
 
 
 DISTRIBUTION = {
@@ -348,45 +338,6 @@ def test_the_extra_of_a_package_installs_it():
     for package, extra in EXTRA_OF.items():
         named = DISTRIBUTION.get(package, package)
         assert named in extras[extra] or carried.get(package) == extra, package
-
-
-REFUSING = """
-import importlib.abc, sys
-
-class Refuse(importlib.abc.MetaPathFinder):
-    def find_spec(self, name, path=None, target=None):
-        if name.partition(".")[0] in refused:
-            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
-
-refused = set(sys.argv[1].split(","))
-sys.meta_path.insert(0, Refuse())
-"""
-BASE_INSTALL = (
-    REFUSING
-    + """
-import hpac
-for words in sys.argv[2:]:
-    try:
-        status = hpac.main(words.split())
-    except SystemExit as left:
-        status = left.code
-    print(f"status {status}: {words}", flush=True)
-"""
-)
-
-
-def test_the_help_of_every_command_needs_no_extra():
-    refused = ",".join({*EXTRA_OF, "viser"})
-    done = python("-c", BASE_INSTALL, refused, *(f"{name} --help" for name in NAMES))
-    assert done.returncode == 0, done.stderr
-    assert done.stderr == ""
-    assert re.findall(r"^status (\w+): (\w+) --help", done.stdout, re.M) == [
-        ("0", name) for name in NAMES
-    ]
-    # The negative control: something of what is refused is needed elsewhere.
-    assert (
-        "pip install '.[study]'" in python("-c", BASE_INSTALL, refused, "sweep --record x").stderr
-    )
 
 
 @pytest.mark.parametrize("module", ["agents.race", "tools.film_strip"])
