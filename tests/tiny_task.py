@@ -70,7 +70,5 @@ class Seeing(gymnasium.Env):
         return self.observation_space.sample(), 0.0, True, False, {}
 
 
-gymnasium.register("Filmed-v0", Filmed)
-gymnasium.register("Seeing-v0", Seeing)
-gymnasium.register("Tiny-v0", Tiny)
-gymnasium.register("Other-v0", Other)
+for kind in (Tiny, Other, Filmed, Seeing):
+    gymnasium.register(f"{kind.__name__}-v0", f"{__name__}:{kind.__name__}")
