@@ -144,19 +144,19 @@ def test_pre_commit_runs_what_lint_runs():
     ]
 
 
-@pytest.mark.parametrize("engine", ["pybullet", "mujoco"])
-def test_a_clean_environment_makes_the_task_from_the_wheel(engine, clean_python, tmp_path):
-    script = f"""
+@pytest.mark.pybullet
+def test_a_clean_environment_makes_the_task_from_the_wheel(clean_python, tmp_path):
+    script = """
 import importlib.util, json
 import gymnasium
-env = gymnasium.make("hpac_gym:HPAC-Grasp-v0", engine={engine!r})
+env = gymnasium.make("hpac_gym:HPAC-Grasp-v0", engine="pybullet")
 env.reset(seed=0)
 env.action_space.seed(0)
-reward = env.step(env.action_space.sample())[1]
+env.step(env.action_space.sample())
 env.close()
 import hpac_gym
 absent = [name for name in ("agents", "experiments", "tools") if importlib.util.find_spec(name) is None]
-print(json.dumps({{"reward": float(reward), "package": hpac_gym.__file__, "absent": absent}}))
+print(json.dumps({"package": hpac_gym.__file__, "absent": absent}))
 """
     # -I: no PYTHONPATH, and an output that waits in buffers, where PyBullet's own prints must not
     # come out at the end.
@@ -174,7 +174,9 @@ def test_without_pybullet_everything_runs_on_mujoco_and_asking_for_pybullet_is_o
 import sys
 sys.modules["pybullet"] = None
 import gymnasium
-gymnasium.make("hpac_gym:HPAC-Grasp-v0").close()
+env = gymnasium.make("hpac_gym:HPAC-Grasp-v0")
+env.reset(seed=0)
+env.step(env.action_space.sample())
 from hpac_gym.errors import HpacError
 try:
     gymnasium.make("HPAC-Grasp-v0", engine="pybullet")
@@ -189,28 +191,26 @@ except HpacError as error:
 HEAVY = ("scipy", "mujoco", "pybullet", "torch", "trimesh", "hpac_gym.tasks", "hpac_gym.envs")
 
 
-@pytest.mark.parametrize(
-    "module", ["hpac_gym", "hpac_gym.model", "hpac_gym.bridge", "hpac_gym.policies"]
-)
-def test_package_model_bridge_and_policy_file_need_neither_scipy_nor_an_engine(module):
+def test_package_model_bridge_and_policy_file_need_neither_scipy_nor_an_engine():
     script = (
-        f"import sys, {module}; print([name for name in sys.modules if name.startswith({HEAVY!r})])"
+        "import sys, hpac_gym, hpac_gym.model, hpac_gym.bridge, hpac_gym.policies; "
+        f"print([name for name in sys.modules if name.startswith({HEAVY!r})])"
     )
     assert run(sys.executable, "-c", script, cwd=ROOT) == "[]\n"
 
 
-@pytest.mark.parametrize("port", ["virtual", "host"])
 def test_the_wheel_compiles_its_firmware_at_first_use_and_says_when_it_cannot(
-    port, clean_python, tmp_path
+    clean_python, tmp_path
 ):
-    command = [clean_python.with_name("hpac"), "clear", "--port", port]
+    command = [clean_python.with_name("hpac"), "clear", "--port"]
     # Empty where set: a checkout's build, another compiler, a path to the checkout.
     names = ("HPAC_FIRMWARE_BUILD", "CC", "PYTHONPATH")
     clean = os.environ | dict.fromkeys(names, "") | {"XDG_CACHE_HOME": str(tmp_path)}
-    assert "state idle" in run(*command, cwd=tmp_path, env=clean)
+    for port in ("virtual", "host"):
+        assert "state idle" in run(*command, port, cwd=tmp_path, env=clean)
     assert [path.name for path in tmp_path.glob("hpac_gym/firmware/*/*")] != []
     without = subprocess.run(
-        [*map(str, command)],
+        [*map(str, command), "host"],
         env=clean | {"CC": "none"},
         cwd=tmp_path,
         capture_output=True,
