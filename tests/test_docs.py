@@ -124,35 +124,34 @@ PROGRAMS = [
 ]
 
 
-LEARNER = "stable_baselines3"
-"""Loading one alone takes seconds."""
+RUN_ALL = """
+import runpy, sys
+for file in sys.argv[1:]:
+    runpy.run_path(file, run_name="__main__")
+"""
 
 
-@pytest.mark.parametrize(
-    "page",
-    [
-        pytest.param(
-            page, id=name_of(page), marks=[pytest.mark.slow] if LEARNER in text_of(page) else []
-        )
-        for page in PROGRAMS
-    ],
-)
-def test_every_program_of_a_page_runs(page, tmp_path):
-    run_programs(page, tmp_path)
-
-
-def run_programs(page: Path, folder: Path) -> None:
-    """In one file, one after the other: a page's programs may use what stands above them. Vector
-    environments of processes import that file.
+def run_programs(pages: list[Path], folder: Path) -> None:
+    """A page's programs in one file, one after the other, since they may use what stands above
+    them; all files in one process, which loads the packages once.
     """
-    lines = textwrap.indent("\n".join(blocks(page, "python")), "    ")
     (folder / "hand.toml").write_text(hand_to_toml(HPAC))  # as `hpac calibrate` writes one
-    file = folder / "programs.py"
-    file.write_text(f"def main():\n{lines}\n\n\nif __name__ == '__main__':\n    main()\n")
-    done = python(str(file), folder=folder)
+    files = []
+    for page in pages:
+        lines = textwrap.indent("\n".join(blocks(page, "python")), "    ")
+        files.append(folder / f"{name_of(page).replace('/', '_')}.py")
+        files[-1].write_text(f"def main():\n{lines}\n\n\nif __name__ == '__main__':\n    main()\n")
+    done = python("-c", RUN_ALL, *map(str, files), folder=folder)
     assert done.returncode == 0, done.stderr
 
 
+def test_every_program_of_a_page_runs(tmp_path):
+    """Those of the README alone, below."""
+    run_programs([page for page in PROGRAMS if page != ROOT / "README.md"], tmp_path)
+
+
+LEARNER = "stable_baselines3"
+"""Loading one alone takes seconds."""
 README = text_of(ROOT / "README.md")
 
 
@@ -213,11 +212,6 @@ def test_every_command_of_a_page_parses(page, capsys):
                 pytest.fail(f"{line}: {capsys.readouterr().err}")
 
 
-def test_a_command_that_does_not_exist_is_found():
-    with pytest.raises(SystemExit):
-        parse("hpac evaluate --nonsense")
-
-
 class Parsed(Exception):
     """A command has been parsed; it does not run."""
 
@@ -258,7 +252,9 @@ def test_every_module_of_a_page_takes_its_arguments(page, monkeypatch, capsys):
             pytest.fail(f"{line}: {left.code}: {capsys.readouterr().err}")
 
 
-def test_arguments_that_a_module_does_not_take_are_found(monkeypatch):
+def test_arguments_that_a_command_or_a_module_does_not_take_are_found(monkeypatch):
+    with pytest.raises(SystemExit):
+        parse("hpac evaluate --nonsense")
     with pytest.raises(SystemExit):
         parse_module("python -m tools.film_strip HPAC-Grasp-v0 --nonsense", monkeypatch)
 

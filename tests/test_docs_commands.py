@@ -112,7 +112,7 @@ def do(line: str, folder: Path, port: str) -> str:
 def test_the_commands_of_a_page_run(page, tmp_path):
     prepare(tmp_path)
     if page in PROGRAMS:
-        run_programs(page, tmp_path)
+        run_programs([page], tmp_path)
     with HostBoard() as board:
         lines = [line for line in lines_of(page) if not reason_of(line)]
         wrong = [told for line in lines if (told := do(line, tmp_path, board.port))]
