@@ -39,12 +39,6 @@ def test_a_file_appears_whole_or_not_at_all(fault, told, line, tmp_path):
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_a_place_that_cannot_be_written_is_told(tmp_path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(OutputError, match=r"cannot write .*file/result\.txt"):
-        write_text(tmp_path / "file" / "result.txt", "text")
-
-
 def test_a_link_stays_and_its_file_is_written(tmp_path):
     link = tmp_path / "link.txt"
     link.symlink_to("results/file.txt")
@@ -81,8 +75,10 @@ def test_a_name_that_is_too_long_is_told_before_a_long_run(tmp_path):
     assert not [*tmp_path.iterdir()]
 
 
-def test_a_folder_is_made_and_left_empty(tmp_path):
+def test_a_folder_is_made_and_left_empty_and_what_cannot_be_written_is_told(tmp_path):
     assert list(writable_folder(tmp_path / "a" / "b").iterdir()) == []
     (tmp_path / "file").write_text("")
     with pytest.raises(OutputError, match=r"cannot write to folder .*file/b"):
         writable_folder(tmp_path / "file" / "b")
+    with pytest.raises(OutputError, match=r"cannot write .*file/result\.txt"):
+        write_text(tmp_path / "file" / "result.txt", "text")
