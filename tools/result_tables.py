@@ -7,7 +7,7 @@ from typing import Any
 
 from experiments.results import mean_of, percent
 from hpac_gym.evaluation import results, splits
-from hpac_gym.evaluation.blind import SCALE
+from hpac_gym.evaluation.blind import score
 from hpac_gym.evaluation.statistics import rate_text
 from hpac_gym.output import markdown
 from tools.blind_search import share_found, winning_closures
@@ -37,7 +37,7 @@ def scale_table() -> str:
     rows = []
     for within, name in names.items():
         won = round(share_found(tries, within) * len(tries))
-        rows.append((name, rate_text(won, len(tries)), f"{SCALE.score(won / len(tries)):.2f}"))
+        rows.append((name, rate_text(won, len(tries)), f"{score(won / len(tries)):.2f}"))
     return markdown((f"first {len(tries)} held-out seeds", "success", "score"), rows)
 
 

@@ -1,4 +1,4 @@
-"""Blind closures of `HPAC-Grasp-v0`, and the score scale that they define.
+"""Blind closures of `HPAC-Grasp-v0`, and the score that they define.
 
 A blind closure is drawn without observing the object and has no feedback. The floor is the success
 rate of the first one drawn for each held-out seed; the ceiling is the rate at which any of those
@@ -6,7 +6,6 @@ tried succeeds, which requires luck or knowledge of the object. `python -m tools
 them."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -54,28 +53,21 @@ class Blind(EpisodePolicy):
         return action(self._closure, step), step
 
 
-@dataclass(frozen=True, slots=True)
-class Scale:
-    """The two success rates that define the score scale."""
-
-    floor: float
-    ceiling: float
-
-    def score(self, success: float) -> float:
-        """(success − floor) / (ceiling − floor): 0 at the floor, 1 at the ceiling."""
-        return (success - self.floor) / (self.ceiling - self.floor)
+FLOOR = 0.33
+CEILING = 0.95
+"""The two success rates that define the score of `HPAC-Grasp-v0`; the closures that were tried are in
+`tools/grasp_closures.csv`.
+"""
 
 
-SCALE = Scale(floor=0.33, ceiling=0.95)
-"""Of `HPAC-Grasp-v0`; the closures that were tried are in `tools/grasp_closures.csv`."""
+def score(success: float) -> float:
+    """(success − floor) / (ceiling − floor): 0 at the floor, 1 at the ceiling."""
+    return (success - FLOOR) / (CEILING - FLOOR)
 
 
-def scale_of(env_id: str, options: Mapping[str, Any] | None = None) -> Scale | None:
-    """The scale of an id, given with or without its module; None if the id or the options have no
-    measured scale.
-    """
+def has_score(env_id: str, options: Mapping[str, Any] | None = None) -> bool:
+    """Whether the score was measured for an id, given with or without its module, and options."""
     given = MEASURED_WITH | {
         name: value for name, value in (options or {}).items() if name not in ("obs", "reward")
     }
-    measured = env_id.rpartition(":")[2] == GRASP and given == MEASURED_WITH
-    return SCALE if measured else None
+    return env_id.rpartition(":")[2] == GRASP and given == MEASURED_WITH

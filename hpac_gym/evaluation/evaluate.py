@@ -23,7 +23,7 @@ from tqdm import tqdm
 from hpac_gym.command import Formatter, minutes, whole_number
 from hpac_gym.envs import HandEnv
 from hpac_gym.envs.options import check_number
-from hpac_gym.evaluation.blind import scale_of
+from hpac_gym.evaluation.blind import CEILING, FLOOR, has_score, score
 from hpac_gym.evaluation.environment import make_env
 from hpac_gym.evaluation.episodes import BATCH, Step, has_batch, run_episodes, worlds
 from hpac_gym.evaluation.options import add_policy_and_env, env_of
@@ -214,12 +214,11 @@ def table(summary: dict[str, Any]) -> str:
     lines = [markdown(columns, rows)]
     if given := summary.get("options"):
         lines += ["", f"Options: {', '.join(f'{name} {value}' for name, value in given.items())}."]
-    if scale := scale_of(summary["env_id"], summary.get("options")):
+    if has_score(summary["env_id"], summary.get("options")):
         scores = ", ".join(
-            f"{name} {scale.score(row['success_rate']):.2f}"
-            for name, row in summary["policies"].items()
+            f"{name} {score(row['success_rate']):.2f}" for name, row in summary["policies"].items()
         )
-        ends = f"0 at a random closure ({scale.floor:.1%}) and 1 at the best of many ({scale.ceiling:.1%})"
+        ends = f"0 at a random closure ({FLOOR:.1%}) and 1 at the best of many ({CEILING:.1%})"
         lines += ["", f"Score, {ends}: {scores}."]
     for pair in summary["differences"]:
         low, high = pair["interval_95"]
