@@ -71,8 +71,8 @@ MISTAKES = [
         f"{SWEEP} --angles x.csv --out {{folder}}/nonsense",
         "row 1 must be '# hpac sweep, format 1'",
     ),
-    ("hpac deploy tests.test_mistakes:wordless " + POSED, "(action, state), not ndarray"),
-    ("hpac deploy tests.test_mistakes:short " + POSED, "must be 6 numbers"),
+    ("hpac deploy tests.test_mistakes:answering:wordless " + POSED, "(action, state), not ndarray"),
+    ("hpac deploy tests.test_mistakes:answering:short " + POSED, "must be 6 numbers"),
     ("hpac deploy grasp " + POSED.removesuffix(" --dry-run"), "--port is missing"),
     ("hpac deploy gentle " + POSED, "HPAC-Gentle-v0 cannot be deployed"),
     ("hpac deploy none.hpac " + POSED, "no policy file 'none.hpac'"),
@@ -146,8 +146,8 @@ MISTAKES = [
     ("hpac evaluate --policy scripted --object cylinder:nan,0.1", "cylinder:radius"),
     (f"{EVALUATE} --env Nothing-v3", "no environment 'Nothing-v3'"),
     (f"{EVALUATE} --env nothing_here:Nothing-v3", "no environment 'nothing_here:Nothing-v3'"),
-    (f"{EVALUATE} --env :", "no environment ':': an id is name-v0 or module:name-v0"),
-    (f"{EVALUATE} --env a:b:c", "no environment 'a:b:c': an id is name-v0"),
+    (f"{EVALUATE} --env :", "no environment ':': "),
+    (f"{EVALUATE} --env a:b:c", "no environment 'a:b:c': "),
     *(
         (
             f"{EVALUATE} --episodes 1 --env HPAC-Posture-v1 --set max_episode_steps={steps}",
@@ -160,7 +160,10 @@ MISTAKES = [
         "--grasp 'rod' and --types 'disk' were given: give either",
     ),
     (f"{EVALUATE} --set physics=3", "--set physics: only a program in Python can give it"),
-    ("hpac evaluate --policy tests.test_mistakes:idle", "(action, state), not (None, state)"),
+    (
+        "hpac evaluate --policy tests.test_mistakes:answering:idle",
+        "(action, state), not (None, state)",
+    ),
     ("hpac show --set render_mode=human", "--set render_mode: hpac show has its own"),
     (f"{EVALUATE} --episodes 0", "'0' is not a whole number of at least 1"),
     (
@@ -325,19 +328,16 @@ def forgetful(env):
     return argparse.Namespace(predict=lambda observation, state=None: (observation[:6], state))
 
 
-def wordless(env):
-    """A policy that returns no state."""
-    return argparse.Namespace(predict=lambda observation, state, begins: observation[:6])
+ANSWERS = {
+    "wordless": lambda observation, state: observation[:6],
+    "idle": lambda observation, state: (None, state),
+    "short": lambda observation, state: (observation[:3], state),
+}
 
 
-def idle(env):
-    """A policy that returns no action."""
-    return argparse.Namespace(predict=lambda observation, state, begins: (None, state))
-
-
-def short(env):
-    """A policy with too few actions."""
-    return argparse.Namespace(predict=lambda observation, state, begins: (observation[:3], state))
+def answering(env, name):
+    """A policy whose answer is no action with a state, or too short."""
+    return argparse.Namespace(predict=lambda seen, state, begins: ANSWERS[name](seen, state))
 
 
 @pytest.fixture(scope="module")

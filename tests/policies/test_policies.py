@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from hpac_gym.envs.sb3 import HandVecEnv
-from hpac_gym.errors import PolicyError, ShapeError
+from hpac_gym.errors import ShapeError
 from hpac_gym.policies import LearnedPolicy, read_policy
 from hpac_gym.policies.loading import about, load_policy
 from tests.policies.episodes import actions_of
@@ -19,11 +19,6 @@ def test_a_learned_policy_decides_as_often_as_in_its_training():
     acted = actions_of(policy, [np.array([float(step)]) for step in range(7)])
     assert acted[:, 0].tolist() == [0, 0, 0, 6, 6, 6, 12]
     assert policy.predict(np.array([5.0]))[0] == 10
-
-
-def test_an_id_is_not_an_environment():
-    with pytest.raises(PolicyError, match=r"'grasp' needs an environment, .* not 'HPAC-Grasp-v0'"):
-        load_policy("grasp", "HPAC-Grasp-v0")
 
 
 @pytest.mark.parametrize("name", ["random", "scripted"])
