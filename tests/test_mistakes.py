@@ -161,7 +161,7 @@ MISTAKES = [
     ),
     (f"{EVALUATE} --set physics=3", "--set physics: only a program in Python can give it"),
     (
-        "hpac evaluate --policy tests.test_mistakes:answering:idle",
+        "hpac evaluate --workers 1 --policy tests.test_mistakes:answering:idle",
         "(action, state), not (None, state)",
     ),
     ("hpac show --set render_mode=human", "--set render_mode: hpac show has its own"),

@@ -29,8 +29,8 @@ def test_a_trained_policy_is_shown_on_a_page_until_ctrl_c():
     assert (running.returncode, complaints) == (0, "\n")
 
 
-def test_an_id_is_shown_with_the_policy_that_comes_for_it(capsys, tmp_path):
-    words = ["--episodes", "1", "--seed", "3000001", "--record", str(tmp_path / "film.gif")]
+def test_an_id_is_shown_with_the_policy_that_comes_for_it(capsys):
+    words = ["--episodes", "1", "--seed", "3000001", "--no-browser"]
     assert hpac.main(["show", "--env", "HPAC-Posture-v1", *words]) == 0
     assert capsys.readouterr().out.startswith("posture on HPAC-Posture-v1: 1 of 1 succeeded")
     assert {env_id: shipped_for(env_id) for env_id in ("HPAC-GraspAny-v1", "my:Own-v0")} == {
@@ -53,16 +53,17 @@ def test_a_film_is_written(tmp_path, capsys, monkeypatch):
     import imageio.v2 as imageio
 
     monkeypatch.setattr(progress, "_PATIENCE", 0.0)
+    monkeypatch.setattr(show, "PAUSE", 0.1)
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     path = tmp_path / "film.gif"
-    words = ["--grasp", "rod", "--episodes", "1", "--record", str(path), "--json"]
-    assert hpac.main(["show", *words]) == 0
+    words = ["--grasp", "rod", "--set", "max_episode_steps=12", "--episodes", "1", "--json"]
+    assert hpac.main(["show", *words, "--record", str(path)]) == 0
     told = capsys.readouterr()
     episode, written = map(json.loads, told.out.splitlines())
-    assert (episode["seed"], episode["success"]) == (HELD_OUT_SEED, True)
+    assert (episode["seed"], episode["success"]) == (HELD_OUT_SEED, False)
     assert written == {"written": str(path)}
     assert "frames of seed " in told.err
-    assert len(imageio.mimread(path, memtest=False)) > 40
+    assert len(imageio.mimread(path, memtest=False)) >= 12
 
 
 OTHERS = ("show", "--episodes", "1", "--env", "tests.tiny_task:Filmed-v0", "--record")
