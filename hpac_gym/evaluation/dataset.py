@@ -125,10 +125,8 @@ def _appearing(out: Path) -> Iterator[Path]:
         temporary = TemporaryDirectory(prefix=f".{out.name}-", dir=folder)
     with temporary as root:
         yield Path(root)
-        try:
+        with writing(out):
             Path(root, "written").rename(out)
-        except OSError as error:
-            raise DatasetError(f"'{out}' cannot be made: {error.strerror}") from None
 
 
 def record(

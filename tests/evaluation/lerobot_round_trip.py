@@ -2,6 +2,7 @@
 Python is too old for lerobot: ``make test-lerobot``."""
 
 import errno
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -52,10 +53,7 @@ def test_the_episodes_come_back_as_they_were(tmp_path, capsys):
     ],
 )
 def test_a_folder_appears_whole_or_not_at_all(fault, status, told, tmp_path, monkeypatch, capsys):
-    def stop(*_):
-        raise fault
-
-    monkeypatch.setattr(LeRobotDataset, "save_episode", stop)
+    monkeypatch.setattr(LeRobotDataset, "save_episode", Mock(side_effect=fault))
     assert main([*WORDS, "--out", str(tmp_path / "lerobot")]) == status
     assert capsys.readouterr().err.splitlines()[-1].endswith(told)
     assert list(tmp_path.iterdir()) == []
