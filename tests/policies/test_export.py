@@ -114,8 +114,6 @@ def test_a_policy_that_needs_options_gives_them_when_it_is_exported_too(name, tm
     for folder, file in (("mine", "README.md"), ("", "model.onnx")):
         with pytest.raises(PolicyError, match=f"{file}' exists already: name another folder"):
             export(SHIPPED["grasp"], tmp_path / folder)
-    words = ["--policy", str(tmp_path), "--episodes", "1", "--workers", "1", "--no-baselines"]
-    assert called(evaluate, *words) == 0
     page = (tmp_path / "README.md").read_text()
     assert f"`observation`, float32 (n, {read_policy(name).actor.sizes[0]})" in page
     assert ('`obs="load"`' in page) == (name == "gentle")
@@ -242,17 +240,9 @@ def test_the_bundle_has_the_evaluation_and_a_film_in_the_hub_s_layout(policy, tm
     """
     yaml = pytest.importorskip("yaml")
     write_policy(tmp_path / "policy.hpac", policy)
-    words = [
-        "--policy",
-        f"{tmp_path}/policy.hpac",
-        "--engine",
-        "mujoco",
-        "--episodes",
-        "4",
-        "--out",
-        f"{tmp_path}/results.json",
-    ]
-    assert called(evaluate, *words, "--workers", "1", "--no-baselines") == 0
+    words = ["--episodes", "4", "--workers", "1", "--no-baselines", "--policy"]
+    results = ["--out", f"{tmp_path}/results.json"]
+    assert called(evaluate, *words, f"{tmp_path}/policy.hpac", *results) == 0
     (tmp_path / "film.mp4").write_bytes(b"\0\0\0\x1cftypisom")
     given = ["--evaluation", f"{tmp_path}/results.json", "--film", f"{tmp_path}/film.mp4"]
     assert main(["export", f"{tmp_path}/policy.hpac", "--out", f"{tmp_path}/out", *given]) == 0
@@ -272,9 +262,7 @@ def test_the_bundle_has_the_evaluation_and_a_film_in_the_hub_s_layout(policy, tm
         {"type": "success_rate", "value": judged["policies"]["learned"]["success_rate"]}
     ]
     assert "| learned | 4 |" in page
-    words[1] = f"{tmp_path}/out"
-    words[-1] = f"{tmp_path}/again.json"
-    assert called(evaluate, *words, "--workers", "1", "--no-baselines") == 0
+    assert called(evaluate, *words, f"{tmp_path}/out", "--out", f"{tmp_path}/again.json") == 0
     assert json.loads((tmp_path / "again.json").read_text())["policies"] == judged["policies"]
     given = [f"{tmp_path}/policy.hpac", "--evaluation", f"{tmp_path}/again.json"]
     assert main(["export", *given, "--out", f"{tmp_path}/third"]) == 0
