@@ -45,9 +45,7 @@ def success_counts(successes: int, episodes: int) -> dict[str, Any]:
     }
 
 
-def predicted_rate(
-    successes: ArrayLike, episodes: int, of: int, draws: int = 20_000
-) -> tuple[float, float, float]:
+def predicted_rate(successes: ArrayLike, episodes: int, of: int) -> tuple[float, float, float]:
     """Success rate of one more hand of a kind in ``of`` episodes: expectation and 95 % interval.
 
     Beta-binomial: the hands' own rates have a beta distribution. Its mean has Jeffreys' prior, its
@@ -58,7 +56,6 @@ def predicted_rate(
         successes: of each of at least two hands, shape (hands,).
         episodes: of each hand.
         of: episodes that are predicted.
-        draws: of the predictive distribution, always the same ones.
 
     Raises:
         ValueError: Fewer than two hands, or not 0 ≤ successes ≤ episodes.
@@ -76,8 +73,8 @@ def predicted_rate(
         for k, n in zip(kinds, count, strict=True)
     )
     weight = np.exp(likelihood - likelihood.max()).ravel()
-    rng = np.random.default_rng(0)
-    at = rng.choice(weight.size, draws, p=weight / weight.sum())
+    rng = np.random.default_rng(0)  # always the same draws
+    at = rng.choice(weight.size, 20_000, p=weight / weight.sum())
     rate = rng.beta(alpha.ravel()[at], beta.ravel()[at])
     low, high = np.quantile(rng.binomial(of, rate) / of, (0.025, 0.975))
     return float(rate.mean()), float(low), float(high)
@@ -148,7 +145,6 @@ def bootstrap_interval(
     statistic: Callable[..., NDArray[np.float64]],
     *scores: ArrayLike,
     draws: int = 10_000,
-    seed: int = 0,
 ) -> tuple[float, float]:
     """95 % percentile interval of a statistic; whole runs are resampled with replacement, since one
     policy is judged on all tasks.
@@ -156,10 +152,9 @@ def bootstrap_interval(
     Args:
         statistic: function of score arrays with a leading axis of draws.
         scores: each of shape (runs, tasks).
-        draws: number of resamples.
-        seed: seed of the resampling, so that the same scores give the same interval.
+        draws: number of resamples, always the same ones.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     tables = [np.asarray(table, float) for table in scores]
     drawn = [table[rng.integers(len(table), size=(draws, len(table)))] for table in tables]
     low, high = np.percentile(statistic(*drawn), (2.5, 97.5))
