@@ -106,21 +106,24 @@ def test_what_nobody_trained_has_one_run_with_its_wilson_interval(tmp_path, caps
     assert (told["faults"], told["summary"]) == ([], results["summary"])
 
 
-def test_five_models_of_stable_baselines3_are_judged_with_their_statistics(tmp_path, capsys):
+def test_five_models_of_stable_baselines3_are_judged_with_their_statistics(tmp_path, monkeypatch):
     """Named apart from them, since none lies beside its model."""
+    monkeypatch.setattr(results_file, "EPISODES", 4)
     for seed in range(5):
         envs = VecNormalize(DummyVecEnv([lambda: gymnasium.make(TINY)]))
         model = PPO("MlpPolicy", envs, n_steps=16, batch_size=16, seed=seed, device="cpu").learn(16)
         model.save(tmp_path / f"{seed}" / "model.zip")
         envs.save(str(tmp_path / f"statistics_{seed}.pkl"))
-    words = ("--normalize", f"{tmp_path}/statistics_{{seed}}.pkl", "--budget", "1e5")
-    results = submit(tmp_path / "out.json", *words, policy=f"{tmp_path}/{{seed}}/model.zip")
+    words = ("--budget", "1e5", "--episodes", "4")
+    statistics = ("--normalize", f"{tmp_path}/statistics_{{seed}}.pkl")
+    policy = f"{tmp_path}/{{seed}}/model.zip"
+    results = submit(tmp_path / "out.json", *words, *statistics, policy=policy)
     assert not list(faults(results))
     assert len({file["sha256"] for file in results["files"]}) == 5
     assert len({file["normalize_sha256"] for file in results["files"]}) == 5
     assert [file["env_steps"] for file in results["files"]] == [16] * 5
     with pytest.raises(PolicyError, match="was trained on normalised observations"):
-        submit(tmp_path / "other.json", "--budget", "1e5", policy=f"{tmp_path}/{{seed}}/model.zip")
+        submit(tmp_path / "other.json", *words, policy=policy)
 
 
 @pytest.fixture
