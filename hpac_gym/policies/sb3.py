@@ -230,12 +230,9 @@ def _policy(path: Path, _changed: int) -> tuple[Any, bool]:
 @lru_cache(maxsize=8)
 def _statistics(path: Path, _changed: int, policy: Any) -> Any:
     from stable_baselines3.common.save_util import load_from_pkl
-    from stable_baselines3.common.vec_env import VecNormalize
 
     try:
         statistics = load_from_pkl(path)
-        if not isinstance(statistics, VecNormalize):
-            raise TypeError(f"it holds a {type(statistics).__name__}")
         wanted = policy.observation_space
         if wanted not in ((scaled := statistics.observation_space), _channels_first(scaled)):
             its, model = _briefly(scaled, wanted)
