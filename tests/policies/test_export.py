@@ -11,10 +11,9 @@ from hpac import main
 from hpac_gym.envs.randomization import changed_hand
 from hpac_gym.evaluation import evaluate
 from hpac_gym.model import HPAC
-from hpac_gym.policies import Actor, PolicyError, PolicyFile, read_policy, write_policy
+from hpac_gym.policies import PolicyError, read_policy
 from hpac_gym.policies.export import export
 from hpac_gym.policies.loading import load_policy, needed_options
-from hpac_gym.policies.made_for import made_for
 from hpac_gym.policies.onnx_model import read_onnx
 from hpac_gym.policies.policy_file import SHIPPED
 from tests.options import called
@@ -29,44 +28,23 @@ def env():
     env.close()
 
 
-@pytest.fixture(scope="module")
-def policy(env) -> PolicyFile:
-    rng = np.random.default_rng(0)
-    sizes = ((64, 44), (64, 64), (8, 64))
-    drawn = [(rng.normal(0, m**-0.5, (n, m)), rng.normal(0, 0.3, n)) for n, m in sizes]
-    layers = tuple((weight.astype(np.float32), bias.astype(np.float32)) for weight, bias in drawn)
-    about = {
-        "env_id": "hpac_gym:HPAC-Grasp-v0",
-        "closure": {"goal": [-0.4, 1.0]},
-        "made_for": made_for(env),
-    }
-    return PolicyFile(
-        Actor(rng.normal(0, 0.3, 44), rng.uniform(0.5, 2, 44), 8.0, layers, 4.0), about
-    )
-
-
 @pytest.fixture
-def folder(policy, tmp_path) -> Path:
-    write_policy(tmp_path / "policy.hpac", policy)
-    export(tmp_path / "policy.hpac", tmp_path / "out")
+def folder(tmp_path) -> Path:
+    """An exported policy."""
+    export(SHIPPED["grasp"], tmp_path / "out")
     return tmp_path / "out"
 
 
 @pytest.mark.parametrize(
-    "path",
-    [
-        None,
-        *(pytest.param(path, marks=pytest.mark.slow, id=path.stem) for path in SHIPPED.values()),
-    ],
+    "name",
+    ["grasp", *(pytest.param(name, marks=pytest.mark.slow) for name in SHIPPED if name != "grasp")],
 )
-def test_onnxruntime_decides_as_the_numpy_reader_does_on_1e4_observations(path, policy, tmp_path):
-    policy = policy if path is None else read_policy(path)
-    write_policy(tmp_path / "policy.hpac", policy)
-    export(tmp_path / "policy.hpac", tmp_path / "out")
+def test_onnxruntime_decides_as_the_numpy_reader_does_on_1e4_observations(name, tmp_path):
+    export(SHIPPED[name], tmp_path)
     session = onnxruntime.InferenceSession(
-        (tmp_path / "out" / "model.onnx").read_bytes(), providers=["CPUExecutionProvider"]
+        (tmp_path / "model.onnx").read_bytes(), providers=["CPUExecutionProvider"]
     )
-    actor = policy.actor
+    actor = read_policy(name).actor
     rng = np.random.default_rng(1)
     scaled = rng.uniform(-1.2, 1.2, (10_000, actor.sizes[0])) * rng.uniform(
         0, actor.observation_clip, (10_000, 1)
@@ -120,7 +98,7 @@ def test_a_policy_that_needs_options_gives_them_when_it_is_exported_too(name, tm
     assert ("moves the hand from where it is" in page) == (name == "gentle")
 
 
-def test_the_card_tells_layout_numbers_rate_and_hashes(policy, folder):
+def test_the_card_tells_layout_numbers_rate_and_hashes(folder):
     told = json.loads((folder / "card.json").read_text())
     assert told["observation"][21] == {
         "name": "object_pos",
@@ -130,31 +108,23 @@ def test_the_card_tells_layout_numbers_rate_and_hashes(policy, folder):
         "high": 4.0,
     }
     assert (told["control_hz"], len(told["action"]), len(told["decision"]["numbers"])) == (20, 6, 8)
-    assert told["hand_sha256"] == policy.about["made_for"]["hand_sha256"]
+    assert told["hand_sha256"] == read_policy("grasp").about["made_for"]["hand_sha256"]
     page = (folder / "README.md").read_text()
     assert page.startswith("---\nlibrary_name: hpac_gym\n")
     assert "| 21 | object_pos | x | 0.05 m | -4 | 4 |" in page
 
 
-def test_a_policy_of_a_goal_environment_is_exported_with_its_goals(policy, tmp_path):
+def test_a_policy_of_a_goal_environment_is_exported_with_its_goals(tmp_path):
     """Its input has the parts of an observation in the order of their names, as its card says."""
-    rng = np.random.default_rng(0)
-    actor = policy.actor
-    first = rng.normal(0, 51**-0.5, (64, 51)).astype(np.float32), actor.layers[0][1]
-    layers = (first, actor.layers[1], tuple(array[:6] for array in actor.layers[2]))
+    export(SHIPPED["posture"], tmp_path)
     with gymnasium.make("HPAC-Posture-v1", engine="mujoco") as env:
-        about = {"env_id": "hpac_gym:HPAC-Posture-v1", "made_for": made_for(env)}
-        file = PolicyFile(
-            Actor(rng.normal(0, 0.3, 51), rng.uniform(0.5, 2, 51), 8.0, layers, 4.0), about
-        )
-        write_policy(tmp_path / "policy.hpac", file)
-        export(tmp_path / "policy.hpac", tmp_path / "out")
-        exported = read_onnx(tmp_path / "out", env)
+        exported = read_onnx(tmp_path, env)
         seen = env.reset(seed=0)[0]
-        joined = np.concatenate([seen["achieved_goal"], seen["desired_goal"], seen["observation"]])
-        np.testing.assert_allclose(exported.predict(seen)[0], file.actor(joined), atol=1e-6)
         bounds = [env.observation_space[name] for name in sorted(seen)]
-    told = json.loads((tmp_path / "out" / "card.json").read_text())["observation"]
+    joined = np.concatenate([seen["achieved_goal"], seen["desired_goal"], seen["observation"]])
+    wanted = read_policy("posture").actor(joined)
+    np.testing.assert_allclose(exported.predict(seen)[0], wanted, atol=1e-6)
+    told = json.loads((tmp_path / "card.json").read_text())["observation"]
     assert [entry["name"] for entry in told[:37:6]] == ["achieved_goal"] * 3 + [
         "desired_goal"
     ] * 2 + ["servo", "joint_pos"]
@@ -234,18 +204,18 @@ def test_a_card_that_cannot_be_followed_ends_in_one_line(folder, env, change, li
         read_onnx(folder, env)
 
 
-def test_the_bundle_has_the_evaluation_and_a_film_in_the_hub_s_layout(policy, tmp_path):
+def test_the_bundle_has_the_evaluation_and_a_film_in_the_hub_s_layout(tmp_path):
     """The hub reads the YAML header, shows the result of the model index, and plays
     ``replay.mp4``.
     """
     yaml = pytest.importorskip("yaml")
-    write_policy(tmp_path / "policy.hpac", policy)
+    policy = str(SHIPPED["grasp"])
     words = ["--episodes", "4", "--workers", "1", "--no-baselines", "--policy"]
     results = ["--out", f"{tmp_path}/results.json"]
-    assert called(evaluate, *words, f"{tmp_path}/policy.hpac", *results) == 0
+    assert called(evaluate, *words, policy, *results) == 0
     (tmp_path / "film.mp4").write_bytes(b"\0\0\0\x1cftypisom")
     given = ["--evaluation", f"{tmp_path}/results.json", "--film", f"{tmp_path}/film.mp4"]
-    assert main(["export", f"{tmp_path}/policy.hpac", "--out", f"{tmp_path}/out", *given]) == 0
+    assert main(["export", policy, "--out", f"{tmp_path}/out", *given]) == 0
     names = {path.name for path in (tmp_path / "out").iterdir()}
     assert names == {"README.md", "card.json", "model.onnx", "replay.mp4"}
     _, header, page = (tmp_path / "out" / "README.md").read_text().split("---\n", 2)
@@ -264,7 +234,7 @@ def test_the_bundle_has_the_evaluation_and_a_film_in_the_hub_s_layout(policy, tm
     assert "| learned | 4 |" in page
     assert called(evaluate, *words, f"{tmp_path}/out", "--out", f"{tmp_path}/again.json") == 0
     assert json.loads((tmp_path / "again.json").read_text())["policies"] == judged["policies"]
-    given = [f"{tmp_path}/policy.hpac", "--evaluation", f"{tmp_path}/again.json"]
+    given = [policy, "--evaluation", f"{tmp_path}/again.json"]
     assert main(["export", *given, "--out", f"{tmp_path}/third"]) == 0
 
 
