@@ -23,12 +23,13 @@ from hpac_gym.evaluation.evaluate import evaluate
 from hpac_gym.evaluation.results import comparison, faults, table
 from hpac_gym.evaluation.splits import ResultsError, env_hash, splits_of
 from hpac_gym.evaluation.statistics import wilson_interval
-from hpac_gym.policies import Actor, Closures, PolicyError, PolicyFile, write_policy
+from hpac_gym.policies import Closures, PolicyError, write_policy
 from hpac_gym.policies.export import export
 from hpac_gym.policies.policy import EpisodePolicy
 from hpac_gym.registration import GRASP_ANY, GRASP_TYPE, POSTURE
 from hpac_gym.tasks.task import RUNNING, SUCCESS
 from tests.options import called
+from tests.policies.episodes import tiny_policy
 from tests.processes import killed_at_the_second
 
 TINY = "tests.tiny_task:Tiny-v0"
@@ -376,17 +377,9 @@ def test_what_training_leaves_out_of_an_episode_of_any_objects_changes_few_outco
     assert (held[0] != held[1]).mean() < 0.05
 
 
-def policy_file(path, **about):
-    """Write a policy of Tiny-v0."""
-    layers = ((np.eye(6, dtype=np.float32), np.zeros(6, np.float32)),)
-    actor = Actor(np.zeros(6), np.ones(6), 5.0, layers, 2.0)
-    write_policy(path, PolicyFile(actor, {"env_id": TINY, **about}))
-    return path
-
-
 def test_five_runs_of_one_seed_are_refused_before_they_are_judged(tmp_path):
     for seed in range(5):
-        policy_file(tmp_path / f"{seed}.hpac", seconds=seed)
+        write_policy(tmp_path / f"{seed}.hpac", tiny_policy(seconds=seed))
     with pytest.raises(ResultsError, match="two of its 5 runs have the same weights"):
         submit(tmp_path / "r.json", "--budget", "1e5", policy=f"{tmp_path}/{{seed}}.hpac")
 
@@ -395,7 +388,8 @@ def test_an_exported_policy_is_a_file_with_its_steps_and_a_baseline_s_name_is_no
     tmp_path, capsys, monkeypatch
 ):
     pytest.importorskip("onnxruntime")
-    export(policy_file(tmp_path / "policy.hpac", env_steps=9_000), tmp_path / "out")
+    write_policy(tmp_path / "policy.hpac", tiny_policy(env_steps=9_000))
+    export(tmp_path / "policy.hpac", tmp_path / "out")
     (tmp_path / "random").write_text("a file of that name")
     monkeypatch.chdir(tmp_path)
     for policy, known in (("out", 1), ("random", 0)):
@@ -408,6 +402,6 @@ def test_an_exported_policy_is_a_file_with_its_steps_and_a_baseline_s_name_is_no
 
 def test_the_same_weights_in_a_file_that_was_written_again_are_the_same_policy(tmp_path, judged):
     for seconds in (1, 2):
-        file = policy_file(tmp_path / "policy.hpac", seconds=seconds)
-        submit(tmp_path / "results.json", policy=str(file))
+        write_policy(tmp_path / "policy.hpac", tiny_policy(seconds=seconds))
+        submit(tmp_path / "results.json", policy=f"{tmp_path}/policy.hpac")
     assert len(judged) == 2

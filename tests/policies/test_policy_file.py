@@ -6,7 +6,6 @@ import re
 import tarfile
 import zipfile
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 
 import cloudpickle
@@ -14,8 +13,9 @@ import gymnasium
 import numpy as np
 import pytest
 
-from hpac_gym.policies import Actor, PolicyError, PolicyFile, read_policy, write_policy
+from hpac_gym.policies import PolicyError, PolicyFile, read_policy, write_policy
 from hpac_gym.policies.loading import about, load_policy
+from tests.policies.episodes import tiny_policy
 
 ROOT = Path(__file__).resolve().parents[2]
 TINY = "tests.tiny_task:Tiny-v0"
@@ -23,15 +23,7 @@ TINY = "tests.tiny_task:Tiny-v0"
 
 @pytest.fixture
 def policy() -> PolicyFile:
-    rng = np.random.default_rng(0)
-    sizes = (6, 8, 6)
-    layers = tuple(
-        (rng.normal(size=(n, m)).astype(np.float32), rng.normal(size=n).astype(np.float32))
-        for m, n in pairwise(sizes)
-    )
-    return PolicyFile(
-        Actor(rng.normal(size=6), rng.uniform(0.5, 2, 6), 10.0, layers, 2.0), {"env_id": TINY}
-    )
+    return tiny_policy()
 
 
 @pytest.fixture
