@@ -37,10 +37,6 @@ RESULTS = Path(__file__).parents[2] / "docs" / "results"
 POINTER = "tests.evaluation.test_benchmark:Pointer:{seed}"
 
 
-def main(words):
-    return called(benchmark, *words)
-
-
 class Pointer(EpisodePolicy):
     """Points where the observation of Tiny-v0 points, with an error that grows with the seed of its
     run.
@@ -67,7 +63,8 @@ def tiny():
 
 
 def submit(path, *words, policy=POINTER):
-    assert main([TINY, "--policy", policy, "--episodes", "40", "--out", str(path), *words]) == 0
+    given = [TINY, "--policy", policy, "--episodes", "40", "--out", path]
+    assert called(benchmark, *given, *words) == 0
     return json.loads(path.read_text())
 
 
@@ -100,9 +97,9 @@ def test_what_nobody_trained_has_one_run_with_its_wilson_interval(tmp_path, caps
     (row, *_) = results["summary"]
     assert row["iqm"] == cell["successes"] / 40
     assert cell["interval_95"] == list(wilson_interval(cell["successes"], 40))
-    assert main(["--check", str(tmp_path / "random.json")]) == 0
+    assert called(benchmark, "--check", tmp_path / "random.json") == 0
     assert "valid" in capsys.readouterr().out
-    assert main(["--check", str(tmp_path / "random.json"), "--json"]) == 0
+    assert called(benchmark, "--check", tmp_path / "random.json", "--json") == 0
     (told,) = json.loads(capsys.readouterr().out)["files"]
     assert (told["faults"], told["summary"]) == ([], results["summary"])
 
@@ -282,7 +279,7 @@ def test_check_tells_every_fault_in_a_line_and_ends_with_status_1(trained, tmp_p
     path.write_text(
         json.dumps(broken(broken(trained, "env_sha256", value="0"), "first_seed", value=5_000_000))
     )
-    assert main(["--check", str(path)]) == 1
+    assert called(benchmark, "--check", path) == 1
     assert [line.split(":")[0] for line in capsys.readouterr().out.splitlines()] == [str(path)] * 2
 
 

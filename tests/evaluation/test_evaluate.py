@@ -23,11 +23,6 @@ from tests.envs.episodes import steps
 from tests.options import called
 from tests.processes import ROOT, children_of, started, wait_for_the_end
 
-
-def main(words):
-    return called(command, *words)
-
-
 TINY = "tests.tiny_task:Tiny-v0"
 
 
@@ -121,7 +116,7 @@ def test_every_worker_has_work_and_the_bar_moves_early(
 
 def test_a_policy_is_called_as_it_was_given_and_no_phases_are_told_of_a_task_without(capsys):
     words = ["--randomize", "hand", "--episodes", "2", "--workers", "1"]
-    assert main(["--policy", "posture", "--env", "HPAC-Posture-v1", *words]) == 0
+    assert called(command, "--policy", "posture", "--env", "HPAC-Posture-v1", *words) == 0
     table_of, options, *_ = capsys.readouterr().out.split("\n\n")
     assert options == "Options: randomize hand, engine mujoco, body twin."
     head, _, first, *_ = table_of.splitlines()
@@ -158,7 +153,7 @@ def test_ctrl_c_on_a_terminal_ends_an_evaluation_at_once(seconds):
 
 def told(capsys, *words: str) -> dict:
     """The JSON object that `hpac evaluate` prints of a few episodes."""
-    assert main([*words, "--workers", "1", "--json"]) == 0
+    assert called(command, *words, "--workers", "1", "--json") == 0
     return json.loads(capsys.readouterr().out)
 
 
