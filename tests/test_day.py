@@ -62,15 +62,12 @@ class Day:
             process.wait(120)
             if "watchdog" not in process.told() or "watchdog" in command:
                 break
-            self.clear()
+            # As one does before one tries again.
+            words = [sys.executable, str(ROOT / "hpac.py"), "clear", "--port", self.port]
+            subprocess.run(words, check=False, capture_output=True, timeout=60)
         self.left.pop(0)
         assert process.returncode == status, process.told()
         return process.told()
-
-    def clear(self):
-        """Leave a fault, as one does before one tries again."""
-        words = [sys.executable, str(ROOT / "hpac.py"), "clear", "--port", self.port]
-        subprocess.run(words, check=False, capture_output=True, timeout=60)
 
     def hand(self):
         """Begin the next virtual hand, and wait until it has a port."""
@@ -90,17 +87,6 @@ class Day:
         """How a log ends."""
         return json.loads((self.folder / log).read_text().splitlines()[-1])["end"]
 
-    def over(self):
-        """End what still runs, the last first."""
-        for process in reversed(self.running):
-            if process.poll() is None:
-                process.send_signal(signal.SIGINT)
-                try:
-                    process.wait(20)
-                except subprocess.TimeoutExpired:
-                    process.kill()
-                    process.wait()
-
 
 def _free_port():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
@@ -119,7 +105,9 @@ def leave(process):
 def day(tmp_path):
     day = Day(tmp_path)
     yield day
-    day.over()
+    for process in reversed(day.running):
+        process.kill()
+        process.wait()
 
 
 @pytest.mark.slow
