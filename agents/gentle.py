@@ -26,8 +26,7 @@ from hpac_gym.command import command_parser, run, whole_number
 from hpac_gym.envs.sb3 import HandVecEnv
 from hpac_gym.evaluation.environment import versions
 from hpac_gym.evaluation.seeds import training_seed
-from hpac_gym.model import synergy_from_action
-from hpac_gym.model.checks import Array
+from hpac_gym.model import Array, synergy_from_action
 from hpac_gym.output import writable_folder
 from hpac_gym.physics.settings import BODIES
 from hpac_gym.policies import PolicyFile, write_policy

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hpac_gym.model import HPAC, action_from_synergy
-from hpac_gym.model.checks import Array
+from hpac_gym.model import HPAC, Array, action_from_synergy
 from hpac_gym.policies.increments import Increments
 from hpac_gym.tasks.task import open_hand
 

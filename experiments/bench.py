@@ -19,8 +19,7 @@ from hpac_gym.calibration.record import (
     concatenate,
     joints_of_servo,
 )
-from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, SERVO_INDEX, SERVOS
-from hpac_gym.model.checks import Array
+from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, SERVO_INDEX, SERVOS, Array
 
 _STEPS = 2
 """Quasi-static steps per sampling point."""

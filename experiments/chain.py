@@ -30,8 +30,7 @@ from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import paired_difference, success_counts
 from hpac_gym.evaluation.workers import shared
 from hpac_gym.figures import new_figure, save
-from hpac_gym.model import HPAC, SERVOS, Hand, joints_from_synergy, load_hand
-from hpac_gym.model.calibration import Calibration
+from hpac_gym.model import HPAC, SERVOS, Calibration, Hand, joints_from_synergy, load_hand
 from hpac_gym.model.maps import CommandMap
 from hpac_gym.model.settled import settled_joints_from_servo
 from hpac_gym.output import markdown

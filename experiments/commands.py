@@ -17,6 +17,8 @@ from hpac_gym.calibration.identification import identify
 from hpac_gym.model import (
     HPAC,
     SERVOS,
+    Array,
+    Calibration,
     Hand,
     clip_to_workspace,
     elastic_joints_from_servo,
@@ -24,8 +26,6 @@ from hpac_gym.model import (
     scaled_hand,
     servo_from_joints,
 )
-from hpac_gym.model.calibration import Calibration
-from hpac_gym.model.checks import Array
 from hpac_gym.model.settled import (
     EXTENSION,
     FLEXION,

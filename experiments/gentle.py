@@ -24,8 +24,7 @@ from hpac_gym.command import command_parser, run, whole_number
 from hpac_gym.evaluation.episodes import run_episodes, worlds
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import success_counts
-from hpac_gym.model import synergy_from_action
-from hpac_gym.model.checks import Array
+from hpac_gym.model import Array, synergy_from_action
 from hpac_gym.output import OutputError, writable_folder
 from hpac_gym.physics.settings import BODIES
 from hpac_gym.physics.simulation import SET_UPS

@@ -18,9 +18,7 @@ from hpac_gym.calibration.identification import identify
 from hpac_gym.calibration.judging import judged
 from hpac_gym.calibration.record import RecordError
 from hpac_gym.command import command_parser, run
-from hpac_gym.model import HPAC, Hand, hand_to_toml
-from hpac_gym.model.calibration import Calibration
-from hpac_gym.model.checks import Array
+from hpac_gym.model import HPAC, Array, Calibration, Hand, hand_to_toml
 from hpac_gym.model.settled import settled_joints_from_servo
 from hpac_gym.output import write_text
 from hpac_gym.physics.stand import HAND

@@ -25,9 +25,7 @@ from hpac_gym.calibration.fitting import IdentificationError
 from hpac_gym.calibration.identification import identify
 from hpac_gym.calibration.judging import judged
 from hpac_gym.calibration.record import RecordError, Sweep
-from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, SERVOS
-from hpac_gym.model.calibration import Friction
-from hpac_gym.model.checks import Array
+from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, SERVOS, Array, Friction
 from hpac_gym.model.files import hand_from_toml, hand_to_toml
 from hpac_gym.model.settled import settled_joints_from_servo
 from hpac_gym.output import markdown

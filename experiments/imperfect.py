@@ -17,8 +17,7 @@ from hpac_gym.calibration.judging import judged
 from hpac_gym.calibration.record import RecordError
 from hpac_gym.command import command_parser, run, whole_number
 from hpac_gym.evaluation.statistics import wilson_interval
-from hpac_gym.model import HPAC, JOINT_INDEX, SERVOS, Hand
-from hpac_gym.model.checks import Array
+from hpac_gym.model import HPAC, JOINT_INDEX, SERVOS, Array, Hand
 from hpac_gym.model.files import hand_from_toml, hand_to_toml
 from hpac_gym.model.settled import settled_joints_from_servo, settled_servo_from_synergy
 from hpac_gym.progress import progress

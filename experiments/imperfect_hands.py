@@ -16,8 +16,7 @@ import numpy as np
 from experiments.bench import PROTOCOL, segment, wander
 from experiments.populations import geometry, varied_digit
 from hpac_gym.calibration.record import Sweep, concatenate
-from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, SERVOS, Digit, Hand
-from hpac_gym.model.checks import Array
+from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, SERVOS, Array, Digit, Hand
 
 SEED = 33_400
 """First seed of the hands; no other experiment uses it."""

@@ -15,12 +15,12 @@ from hpac_gym.calibration.accuracy import EVALUATED
 from hpac_gym.model import (
     HPAC,
     JOINTS,
+    Array,
     Digit,
     Hand,
     elastic_joints_from_servo,
     rigid_joints_from_servo,
 )
-from hpac_gym.model.checks import Array
 from hpac_gym.model.variation import scaled_digit, scaled_hand
 from hpac_gym.progress import progress
 

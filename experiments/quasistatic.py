@@ -15,8 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hpac_gym.errors import HpacError
-from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, SERVOS, Digit, Hand
-from hpac_gym.model.checks import Array
+from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, SERVOS, Array, Digit, Hand
 
 _ROUNDS = 3000
 """Maximal number of rounds per servo angle: a digit that falls back into a slack tendon needs up to

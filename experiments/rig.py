@@ -23,8 +23,7 @@ from hpac_gym.calibration.record import (
     concatenate,
     joints_of_servo,
 )
-from hpac_gym.model import HPAC, JOINTS, SERVO_INDEX, SERVOS, Hand
-from hpac_gym.model.checks import Array
+from hpac_gym.model import HPAC, JOINTS, SERVO_INDEX, SERVOS, Array, Hand
 from hpac_gym.physics.settings import HandSettings, ServoSettings, WorldSettings
 from hpac_gym.physics.simulation import is_installed
 from hpac_gym.physics.stand import HAND, WORLD, HandOnStand

@@ -32,10 +32,10 @@ from hpac_gym.model import (
     HPAC,
     JOINT_INDEX,
     SERVOS,
+    Array,
     elastic_joints_from_servo,
     rigid_joints_from_servo,
 )
-from hpac_gym.model.checks import Array
 from hpac_gym.model.settled import settled_joints_from_servo
 from hpac_gym.output import markdown
 from hpac_gym.progress import progress

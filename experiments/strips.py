@@ -16,8 +16,7 @@ from hpac_gym.calibration.record import Sweep, concatenate
 from hpac_gym.calibration.segment import Segment
 from hpac_gym.camera.detection import Lens, Seen, detect
 from hpac_gym.camera.sheet import CHAINS, STRIPS
-from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, SERVO_INDEX, SERVOS
-from hpac_gym.model.checks import Array
+from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, SERVO_INDEX, SERVOS, Array
 from hpac_gym.physics.stand import HandOnStand
 from hpac_gym.progress import progress
 

@@ -22,11 +22,11 @@ from hpac_gym.model import (
     JOINT_INDEX,
     JOINTS,
     SERVO_INDEX,
+    Array,
     joints_from_synergy,
     servo_from_synergy,
     stream_command,
 )
-from hpac_gym.model.checks import Array
 from hpac_gym.model.command import minimum_jerk
 from hpac_gym.output import markdown
 from hpac_gym.physics.stand import UPRIGHT, HandOnStand

@@ -11,8 +11,7 @@ from experiments.results import Column, Interval, Part, mean_of, part_of
 from hpac_gym.calibration.processing import points, processed
 from hpac_gym.calibration.record import EXTENDING, FLEXING, Sweep, concatenate, joints_of_servo
 from hpac_gym.figures import BLUE, GREY, label, new_figure
-from hpac_gym.model import JOINTS, SERVOS
-from hpac_gym.model.checks import Array
+from hpac_gym.model import JOINTS, SERVOS, Array
 from hpac_gym.progress import progress
 
 DRIVEN = (0.1, 0.9)

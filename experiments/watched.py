@@ -26,8 +26,7 @@ from hpac_gym.camera import CameraError
 from hpac_gym.camera.detection import Lens, detect
 from hpac_gym.camera.poses import object_place
 from hpac_gym.command import command_parser, run, whole_number
-from hpac_gym.model import HPAC
-from hpac_gym.model.checks import Array
+from hpac_gym.model import HPAC, Array
 from hpac_gym.progress import progress
 
 OBJECT_CARD = Piece((50.0, 240.0), 33.0, 33.0)

@@ -15,8 +15,7 @@ from hpac_gym.envs import HandVectorEnv
 from hpac_gym.evaluation.episodes import run_episodes
 from hpac_gym.evaluation.seeds import BENCHMARK_SEED
 from hpac_gym.evaluation.statistics import rate_text
-from hpac_gym.policies import Closures
-from hpac_gym.policies.policy import LearnedPolicy
+from hpac_gym.policies import Closures, LearnedPolicy
 from hpac_gym.tasks.grasp_any import GraspAny, GraspAnyConfig
 
 LOWEST = np.array([-0.5, 0.2, 0.2, 0.2, 0.2, -0.25, 10.0, -6.0])

@@ -12,8 +12,7 @@ import numpy as np
 
 from hpac_gym.command import command_parser, run, whole_number
 from hpac_gym.evaluation.episodes import run_episodes, worlds
-from hpac_gym.model import HPAC, SERVOS
-from hpac_gym.model.checks import Array
+from hpac_gym.model import HPAC, SERVOS, Array
 from hpac_gym.physics.simulation import ENGINES
 from hpac_gym.policies.baselines import ScriptedPolicy
 from hpac_gym.registration import GRASP

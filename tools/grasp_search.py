@@ -17,8 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from hpac_gym.command import command_parser, run, whole_number
 from hpac_gym.envs.randomization import PRESETS
-from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, joints_from_synergy
-from hpac_gym.model.checks import Array
+from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, Array, joints_from_synergy
 from hpac_gym.output import write_text
 from hpac_gym.physics.simulation import SET_UPS
 from hpac_gym.tasks.grasp_type_data import GRASP_TYPES, GraspType

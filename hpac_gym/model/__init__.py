@@ -3,6 +3,8 @@
 Depends on NumPy alone. Arrays have shape (..., n); angles are in rad; every function takes an
 optional `hand`."""
 
+from hpac_gym.model.calibration import Calibration, Friction
+from hpac_gym.model.checks import Array
 from hpac_gym.model.command import (
     ServoCommand,
     action_from_synergy,
@@ -51,7 +53,10 @@ __all__ = [
     "POSTURES",
     "SERVOS",
     "SERVO_INDEX",
+    "Array",
+    "Calibration",
     "Digit",
+    "Friction",
     "Hand",
     "Posture",
     "Reach",

@@ -13,11 +13,12 @@ from experiments.rig import rig_of
 from hpac_gym.model import (
     HPAC,
     JOINT_INDEX,
+    Calibration,
+    Friction,
     elastic_joints_from_servo,
     rigid_joints_from_servo,
     scaled_hand,
 )
-from hpac_gym.model.calibration import Calibration, Friction
 from hpac_gym.model.settled import EXTENSION, settled_joints_from_servo
 
 SERVO = np.linspace(HPAC.servo_min, HPAC.servo_max, 21)

@@ -19,8 +19,7 @@ from hpac_gym.calibration.accuracy import EVALUATED
 from hpac_gym.calibration.processing import points, processed
 from hpac_gym.calibration.record import concatenate, joints_of_servo
 from hpac_gym.figures import label
-from hpac_gym.model import HPAC, JOINTS
-from hpac_gym.model.calibration import Calibration, Friction
+from hpac_gym.model import HPAC, JOINTS, Calibration, Friction
 from hpac_gym.model.settled import EXTENSION, FLEXION, settled_joints_from_servo
 
 REFERENCE = Reference.of()

@@ -26,8 +26,7 @@ from hpac_gym.calibration.processing import points, processed
 from hpac_gym.calibration.record import Sweep, read_sweep, write_sweep
 from hpac_gym.errors import ParameterError
 from hpac_gym.figures import label
-from hpac_gym.model import HPAC, JOINTS, scaled_hand
-from hpac_gym.model.calibration import Calibration, Friction
+from hpac_gym.model import HPAC, JOINTS, Calibration, Friction, scaled_hand
 from hpac_gym.model.settled import settled_joints_from_servo
 from tests.options import called
 

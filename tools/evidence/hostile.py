@@ -6,11 +6,9 @@ from contextlib import suppress
 
 import numpy as np
 
-from hpac_gym.bridge.errors import BridgeError
+from hpac_gym.bridge import Action, BridgeError, HandLink, Reset
 from hpac_gym.bridge.evidence import codec as wire
 from hpac_gym.bridge.hands import VirtualHand, VirtualTransport
-from hpac_gym.bridge.link import HandLink
-from hpac_gym.bridge.protocol import Action, Reset
 from hpac_gym.model import HPAC, ServoCommand
 from tools.evidence.scenarios import BOARD_TICK_US, HALF, TIME, Hands, Played, let_pass, linked
 

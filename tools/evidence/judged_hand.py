@@ -7,9 +7,8 @@ from collections.abc import Callable
 
 import numpy as np
 
+from hpac_gym.bridge import Reset, VirtualHand
 from hpac_gym.bridge.evidence import codec as wire
-from hpac_gym.bridge.hands import VirtualHand
-from hpac_gym.bridge.protocol import Reset
 from tools.evidence.oracle import Oracle
 
 

@@ -16,11 +16,9 @@ from functools import partial
 
 import numpy as np
 
+from hpac_gym.bridge import BridgeError, FaultError, HandLink, HostBoard
 from hpac_gym.bridge.commands import verdict
-from hpac_gym.bridge.errors import BridgeError, FaultError
 from hpac_gym.bridge.firmware import firmware_file
-from hpac_gym.bridge.hands import HostBoard
-from hpac_gym.bridge.link import HandLink
 from hpac_gym.bridge.protocol import CONSTANTS, Action
 from hpac_gym.command import command_parser, run, whole_number
 from tools.evidence import hostile, scenarios

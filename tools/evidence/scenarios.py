@@ -7,10 +7,8 @@ from functools import cache
 
 import numpy as np
 
-from hpac_gym.bridge.errors import BridgeError
+from hpac_gym.bridge import BridgeError, HandLink, VirtualHand
 from hpac_gym.bridge.evidence import codec as wire
-from hpac_gym.bridge.hands import VirtualHand
-from hpac_gym.bridge.link import HandLink
 from hpac_gym.bridge.protocol import CONSTANTS, Action
 from hpac_gym.model import HPAC, SERVOS, ServoCommand, move_duration
 from tools.evidence.judged_hand import JudgedHand

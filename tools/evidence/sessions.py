@@ -11,11 +11,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hpac_gym.bridge.errors import BridgeError, UnconfirmedWarning
+from hpac_gym.bridge import BridgeError, HandLink, PortError, UnconfirmedWarning
 from hpac_gym.bridge.hands import VirtualHand, VirtualTransport
-from hpac_gym.bridge.link import HandLink
 from hpac_gym.bridge.protocol import CONSTANTS, Action
-from hpac_gym.bridge.transport import PortError
 from hpac_gym.model import HPAC, ServoCommand, move_duration
 
 _SLACK = 0.03

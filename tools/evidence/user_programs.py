@@ -22,9 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from tqdm import tqdm
 
-from hpac_gym.bridge.errors import PortError
-from hpac_gym.bridge.hands import HostBoard
-from hpac_gym.bridge.transport import SerialTransport
+from hpac_gym.bridge import HostBoard, PortError, SerialTransport
 from hpac_gym.command import command_parser, run, whole_number
 from tools.evidence.programs import CONTROLS, Program, drawn
 
