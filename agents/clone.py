@@ -121,7 +121,7 @@ def clone(
     return actor, float(np.sqrt(np.mean(np.square(errors)))) if errors else float("nan")
 
 
-def main(argv: list[str] | None = None) -> int:
+def main(argv: list[str] | None = None) -> None:
     parser = command_parser("agents.clone", __doc__)
     parser.add_argument("dataset", type=Path, help="folder that hpac record wrote")
     parser.add_argument("--out", type=Path, required=True, help="folder of the policy")
@@ -202,7 +202,6 @@ def main(argv: list[str] | None = None) -> int:
         else "none kept back"
     )
     print(f"{len(episodes)} successful episodes, {kept}: {args.out / POLICY}")
-    return 0
 
 
 if __name__ == "__main__":

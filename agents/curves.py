@@ -166,12 +166,11 @@ def _page(results: dict[str, Any]) -> str:
     )
 
 
-def main(argv: list[str] | None = None) -> int:
+def main(argv: list[str] | None = None) -> None:
     parser = command_parser("agents.curves", __doc__)
     parser.add_argument("folder", type=Path, help="folder of a run")
     for path in report(parser.parse_args(argv).folder):
         print(path)
-    return 0
 
 
 if __name__ == "__main__":

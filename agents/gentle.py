@@ -227,7 +227,7 @@ class Warm(BaseCallback):
             print(f"{self.num_timesteps:,} steps: {share:.3f} held in training", flush=True)
 
 
-def main(argv: list[str] | None = None) -> int:
+def main(argv: list[str] | None = None) -> None:
     parser = command_parser("agents.gentle", __doc__)
     parser.add_argument("--out", type=Path, required=True, help="folder of the policy")
     parser.add_argument("--obs", choices=("deploy", "load"), default="load", help="observation")
@@ -264,7 +264,6 @@ def main(argv: list[str] | None = None) -> int:
     write_policy(path, PolicyFile(actor_of(parts, env.mean, env.scale), about))
     env.close()
     print(path)
-    return 0
 
 
 if __name__ == "__main__":

@@ -211,7 +211,7 @@ def _train(
     print(f"done after {progress.done:,} trials: {out / POLICY}", file=sys.stderr)
 
 
-def main(argv: list[str] | None = None) -> int:
+def main(argv: list[str] | None = None) -> None:
     parser = command_parser("agents.race", __doc__)
     parser.add_argument("contender", choices=tuple(CONTENDERS), help="which algorithm")
     parser.add_argument("--out", type=Path, required=True, help="folder of the run")
@@ -227,7 +227,6 @@ def main(argv: list[str] | None = None) -> int:
     args.set = [text for text in args.set if text not in own]
     settings = with_set(settings, own)
     race(args.contender, settings, args.out, 60 * args.minutes, env_id, env_options(args, env_id))
-    return 0
 
 
 if __name__ == "__main__":

@@ -151,7 +151,7 @@ def _seconds(about: dict[str, Any]) -> float:
     return about.get("processor_seconds") or about.get("seconds") or 0.0
 
 
-def main(argv: list[str] | None = None) -> int:
+def main(argv: list[str] | None = None) -> None:
     parser = command_parser("agents.reproduce", __doc__)
     parser.add_argument("table", choices=("elsewhere", "race", "seeds"), help="which table")
     parser.add_argument(
@@ -221,7 +221,6 @@ def main(argv: list[str] | None = None) -> int:
             print(f"\n{learner}{f', at most {asked:,} trials' if asked else ''}: {over_runs(runs)}")
     if args.picture:
         draw_trials(args.picture, cells)
-    return 0
 
 
 if __name__ == "__main__":

@@ -222,7 +222,7 @@ def _difference(entry: dict[str, Any]) -> tuple[str, str]:
     return f"{100 * entry['difference']:+.1f}", f"{100 * low:+.1f} … {100 * high:+.1f}"
 
 
-def main(argv: list[str] | None = None) -> int:
+def main(argv: list[str] | None = None) -> None:
     """Run the command."""
     parser = command_parser("experiments.agree", __doc__)
     parser.add_argument("--policy", default="scripted", help="scripted, random, or a policy file")
@@ -264,7 +264,6 @@ def main(argv: list[str] | None = None) -> int:
         workers=arguments.workers,
     )
     print(json.dumps(report, indent=2) if arguments.json else table(report))
-    return 0
 
 
 if __name__ == "__main__":

@@ -209,7 +209,7 @@ def draw(cells: Sequence[Mapping], path: Path) -> None:
     save(figure, path)
 
 
-def main(argv: list[str] | None = None) -> int:
+def main(argv: list[str] | None = None) -> None:
     """Calibrate the hands, run the grasps, print a table an engine, write the cells; or draw them."""
     parser = command_parser("experiments.chain", __doc__)
     parser.add_argument("--hands", type=whole_number(1), default=42, help="hands of each kind")
@@ -218,7 +218,7 @@ def main(argv: list[str] | None = None) -> int:
     arguments = parser.parse_args(argv)
     if arguments.draw:
         draw(read_results(arguments.out, "cells")["cells"], arguments.draw)
-        return 0
+        return
     wanted = [(kind, seed) for kind in POPULATIONS for seed in range(arguments.hands)]
     pairs = list(shared(_calibrated, wanted, arguments.workers, "calibrating"))
     hands = [(*one, *pair) for one, pair in zip(wanted, pairs, strict=True) if pair]
@@ -235,7 +235,6 @@ def main(argv: list[str] | None = None) -> int:
         for grasp in TYPES:
             print(f"{engine}, {grasp}\n\n{cell_table(cells, engine, grasp)}\n")
     print(f"refused: {', '.join(refused) or 'none'}; written to {arguments.out}")
-    return 0
 
 
 def _calibrated(population: str, seed: int) -> tuple[Hand, Hand] | None:

@@ -173,7 +173,7 @@ def in_real_time(seconds: float) -> dict[str, float]:
     }
 
 
-def main(argv: list[str] | None = None) -> int:
+def main(argv: list[str] | None = None) -> None:
     """Run the episodes, print a row a link, write them."""
     parser = command_parser("experiments.deployed", __doc__)
     parser.add_argument(
@@ -188,7 +188,7 @@ def main(argv: list[str] | None = None) -> int:
     arguments = parser.parse_args(argv)
     if arguments.real_time:
         print(json.dumps(in_real_time(arguments.real_time)))
-        return 0
+        return
     last = HELD_OUT_SEED + arguments.episodes
     jobs = [
         (arguments.policy, list(LINKS), list(range(first, min(first + 10, last))))
@@ -200,7 +200,6 @@ def main(argv: list[str] | None = None) -> int:
     words = f"deployed --policy {arguments.policy} --episodes {arguments.episodes}"
     write_results(arguments.out, words, cells=cells)
     print(deployed_table(cells))
-    return 0
 
 
 def deployed_table(cells: Sequence[Mapping[str, Any]]) -> str:

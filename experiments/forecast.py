@@ -142,7 +142,7 @@ def table(cells: Sequence[dict[str, Any]]) -> str:
     )
 
 
-def main(argv: list[str] | None = None) -> int:
+def main(argv: list[str] | None = None) -> None:
     """Continue the file row by row, and print the table of the rows that it has."""
     parser = command_parser("experiments.forecast", __doc__)
     parser.add_argument("--hands", type=whole_number(1), default=40, help="hidden hands")
@@ -163,7 +163,6 @@ def main(argv: list[str] | None = None) -> int:
         told = {"cells": summary(rows, without), "without_a_sweep": without, "rows": rows}
         write_results(arguments.out, f"forecast --hands {len(rows)}", **told)
     print(table(summary(rows, without)))
-    return 0
 
 
 if __name__ == "__main__":

@@ -145,7 +145,7 @@ def episodes(policy: str, row: str, block: int, seeds: Sequence[int]) -> list[bo
     return [held[seed] for seed in seeds]
 
 
-def main(argv: list[str] | None = None) -> int:
+def main(argv: list[str] | None = None) -> None:
     """Run the episodes, print a row a cause, write them."""
     parser = command_parser("experiments.gap", __doc__)
     parser.add_argument("--policy", default="grasp")
@@ -166,7 +166,6 @@ def main(argv: list[str] | None = None) -> int:
     words = f"gap --policy {arguments.policy} --episodes {blocks * BATCH}"
     write_results(arguments.out, words, cells=cells)
     print(gap_table(cells))
-    return 0
 
 
 def gap_table(cells: Sequence[Mapping[str, Any]]) -> str:

@@ -252,7 +252,7 @@ def _write(file: Path, words: str, found: dict[str, Any]) -> None:
     print(json.dumps(found), flush=True)
 
 
-def main(argv: list[str] | None = None) -> int:
+def main(argv: list[str] | None = None) -> None:
     parser = command_parser("experiments.gentle", __doc__)
     parser.add_argument("what", choices=("rows", "closures", "judge", "join"), help="what to do")
     parser.add_argument("policies", nargs="*", help="of `judge`: gentle, or policy files")
@@ -295,7 +295,6 @@ def main(argv: list[str] | None = None) -> int:
             file = policy_path(name)
             label = file.parent.name if file.stem == "policy" else file.stem
             _write(out / f"{label}_{where}.json", words, found)
-    return 0
 
 
 if __name__ == "__main__":

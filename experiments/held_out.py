@@ -25,7 +25,7 @@ from hpac_gym.physics.stand import HAND
 from hpac_gym.progress import progress
 
 
-def main(argv: list[str] | None = None) -> int:
+def main(argv: list[str] | None = None) -> None:
     """Sweep and calibrate every held-out hand, and print the error of its file."""
     parser = command_parser("experiments.held_out", __doc__)
     parser.add_argument(
@@ -44,7 +44,6 @@ def main(argv: list[str] | None = None) -> int:
             f"{variant.name}: mean error {errors.max():.3f}° at the worst joint, "
             f"{file_error_deg(HPAC, variant).max():.1f}° for the nominal hand"
         )
-    return 0
 
 
 def calibrated(variant: HandVariant, seed: int) -> Hand:

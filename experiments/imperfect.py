@@ -135,7 +135,7 @@ COLUMNS = (
 )
 
 
-def main(argv: list[str] | None = None) -> int:
+def main(argv: list[str] | None = None) -> None:
     """Judge the hands with either protocol, print the table and write it."""
     parser = command_parser("experiments.imperfect", __doc__)
     parser.add_argument("--hands", type=whole_number(2), default=40, help="hands")
@@ -156,7 +156,6 @@ def main(argv: list[str] | None = None) -> int:
     write_results(arguments.out, f"imperfect --hands {arguments.hands}", **data)
     print(f"{table('protocol', COLUMNS, rows)}\n\nrefused: {', '.join(refused) or 'none'}")
     print(f"written to {arguments.out}")
-    return 0
 
 
 if __name__ == "__main__":

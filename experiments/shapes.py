@@ -166,7 +166,7 @@ def grasped(policy: str, name: str, body: str, episodes: int) -> list[bool]:
     return [episode.success for (episode,) in rows]
 
 
-def main(argv: list[str] | None = None) -> int:
+def main(argv: list[str] | None = None) -> None:
     """Grasp every shape with every policy and the script, print a row a policy, write them."""
     parser = command_parser("experiments.shapes", __doc__)
     parser.add_argument("--policy", nargs="+", default=["grasp-any", "grasp-any-wrist"])
@@ -189,7 +189,6 @@ def main(argv: list[str] | None = None) -> int:
         for cell in cells
     ]
     print(markdown(("policy", "success", "points over the script"), rows))
-    return 0
 
 
 def _cell(

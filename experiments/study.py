@@ -25,7 +25,7 @@ COMMANDED = "all of these, geometry 1 %"
 """Tolerances of the hands that are calibrated and commanded."""
 
 
-def main(argv: list[str] | None = None) -> int:
+def main(argv: list[str] | None = None) -> None:
     """Run the parts in sequence; each writes its table, figures and numbers when it is complete."""
     parser = command_parser("experiments.study", __doc__)
     parser.add_argument(
@@ -67,7 +67,6 @@ def main(argv: list[str] | None = None) -> int:
         )
         print(part.text)
     print(f"written to {arguments.out}")
-    return 0
 
 
 def _hands(arguments: argparse.Namespace, usual: int) -> int:

@@ -32,7 +32,7 @@ def workspace(points: Sweep) -> dict[str, tuple[float, float]]:
     }
 
 
-def main(argv: list[str] | None = None) -> int:
+def main(argv: list[str] | None = None) -> None:
     """Simulate two sweeps, evaluate them, write records, figures and tables."""
     parser = command_parser("experiments.sweep", __doc__)
     of_record.add_common_arguments(parser)
@@ -60,7 +60,6 @@ def main(argv: list[str] | None = None) -> int:
         remarks=[],
         text=text,
     )
-    return 0
 
 
 def simulate(reference: Reference, stream: int, label: str = "", **protocol: object) -> Sweep:

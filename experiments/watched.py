@@ -90,7 +90,7 @@ def quantiles(errors: Array) -> dict[str, float]:
     return {"p50": float(low), "p95": float(high), "max": float(most)}
 
 
-def main(argv: list[str] | None = None) -> int:
+def main(argv: list[str] | None = None) -> None:
     """Render, measure, write the figures."""
     parser = command_parser("experiments.watched", __doc__)
     parser.add_argument("--pictures", type=whole_number(0), default=500)
@@ -120,7 +120,6 @@ def main(argv: list[str] | None = None) -> int:
         thumbs=[thumb_set_back(built, number) for number, built in hidden],
     )
     print(arguments.out)
-    return 0
 
 
 def swept_hand(built: Built, seed: int) -> dict[str, Any]:

@@ -87,8 +87,9 @@ def plain_warnings() -> None:
     warnings.formatwarning = lambda message, *_: f"warning: {message}\n"
 
 
-def run(command: Callable[[], int], unheard: bool = False) -> int:
-    """Run a command and return its exit status; without a standard output only if `unheard`.
+def run(command: Callable[[], int | None], unheard: bool = False) -> int:
+    """Run a command and return its exit status, 0 for one that returns none; without a standard
+    output only if `unheard`.
 
     An `HpacError`, a missing package of an extra or an unwritable standard output gives one line
     and `USAGE_ERROR`; Ctrl-C gives `INTERRUPTED`. A warning is one line too. Any other exception is
@@ -103,7 +104,7 @@ def run(command: Callable[[], int], unheard: bool = False) -> int:
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
         try:
-            return command()
+            return command() or 0
         finally:
             if sys.stdout is not None:
                 sys.stdout.flush()

@@ -80,7 +80,7 @@ def first_winners(player: Player, seeds: Sequence[int], most: int) -> dict[int, 
     return tries_of
 
 
-def main(argv: list[str] | None = None) -> int:
+def main(argv: list[str] | None = None) -> None:
     parser = command_parser("tools.any_closures", __doc__)
     parser.add_argument("--objects", choices=SPLITS, default="real", help="split of the objects")
     parser.add_argument(
@@ -97,7 +97,6 @@ def main(argv: list[str] | None = None) -> int:
         print(
             f"{args.objects}, best of {most} random closures: {rate_text(won, len(seeds))} of {len(seeds)}"
         )
-    return 0
 
 
 if __name__ == "__main__":

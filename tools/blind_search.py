@@ -148,7 +148,7 @@ def search_blind(seeds: range, engine: str, workers: int) -> None:
     print(f"{best}\nbest blind closure: {rate_text(held, len(seeds))}")
 
 
-def main(argv: list[str] | None = None) -> int:
+def main(argv: list[str] | None = None) -> None:
     parser = command_parser("tools.blind_search", __doc__)
     parser.add_argument(
         "--blind", action="store_true", help="search the best blind closure instead"
@@ -171,7 +171,6 @@ def main(argv: list[str] | None = None) -> int:
     seeds = range(HELD_OUT_SEED, HELD_OUT_SEED + args.seeds)
     find = search_blind if args.blind else search_all
     find(seeds, args.engine, args.workers)
-    return 0
 
 
 if __name__ == "__main__":

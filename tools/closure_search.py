@@ -67,7 +67,7 @@ def search(name: str, generations: int, population: int, seed: int) -> Array:
     return mean.round(2)
 
 
-def main(argv: list[str] | None = None) -> int:
+def main(argv: list[str] | None = None) -> None:
     """Search grasps, and print or write the results."""
     parser = command_parser("tools.closure_search", __doc__)
     parser.add_argument("names", choices=list(GRASPS), nargs="+", metavar="NAME")
@@ -81,7 +81,6 @@ def main(argv: list[str] | None = None) -> int:
         print(f"{name}: closed = {closed}", flush=True)
         if options.write:
             replace_values(GRASPS_FILE, name, {"closed": closed})
-    return 0
 
 
 if __name__ == "__main__":

@@ -230,7 +230,7 @@ def lines(report: Report) -> list[str]:
     return text
 
 
-def main(argv: list[str] | None = None) -> int:
+def main(argv: list[str] | None = None) -> None:
     """Run the command: measure and print."""
     parser = command_parser("tools.env_bench", __doc__.partition("\n\n")[2])
     parser.add_argument(
@@ -267,7 +267,6 @@ def main(argv: list[str] | None = None) -> int:
     )
     report = measure(engines, arguments.num_envs, peers, arguments.rounds)
     print(json.dumps(report, indent=2) if arguments.json else "\n".join(lines(report)))
-    return 0
 
 
 if __name__ == "__main__":

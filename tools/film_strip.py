@@ -190,7 +190,7 @@ def sheet(rows: Sequence[Row]) -> Image.Image:
     return image
 
 
-def main(argv: Sequence[str] | None = None) -> int:
+def main(argv: Sequence[str] | None = None) -> None:
     """Draw episodes, and write the picture."""
     parser = command_parser("tools.film_strip", __doc__)
     parser.add_argument("id", help="id of the environment, such as HPAC-Grasp-v0")
@@ -231,7 +231,6 @@ def main(argv: Sequence[str] | None = None) -> int:
             temporary, format="PNG", optimize=True
         )
     print(f"drawn to {options.out}")
-    return 0
 
 
 if __name__ == "__main__":

@@ -151,7 +151,7 @@ def replace_values(path: Path, table: str, values: dict[str, list[float]]) -> No
     write_text(path, before + head + body + "".join(after))
 
 
-def main(argv: list[str] | None = None) -> int:
+def main(argv: list[str] | None = None) -> None:
     """Search one type, and print or write the result."""
     parser = command_parser("tools.grasp_search", __doc__)
     parser.add_argument("name", choices=list(GRASP_TYPES), metavar="NAME")
@@ -179,7 +179,6 @@ def main(argv: list[str] | None = None) -> int:
     print(f"hand_rpy_deg = {np.degrees(start.hand_rpy).round(1).tolist()}")
     if options.write:
         write(grasp_type)
-    return 0
 
 
 if __name__ == "__main__":

@@ -169,7 +169,7 @@ def picture(path: Path) -> None:
         contact_sheet(portraits).save(temporary, format="PNG", optimize=True)
 
 
-def main(argv: list[str] | None = None) -> int:
+def main(argv: list[str] | None = None) -> None:
     """Evaluate types and write the file."""
     parser = command_parser("tools.grasp_types", __doc__)
     parser.add_argument(
@@ -203,7 +203,7 @@ def main(argv: list[str] | None = None) -> int:
     options = parser.parse_args(argv)
     if options.picture:
         picture(options.picture)
-        return 0
+        return
     outcomes = json.loads(options.out.read_text(encoding="utf-8")) if options.out.exists() else {}
     cells = [
         (name, set_up, hand)
@@ -228,7 +228,6 @@ def main(argv: list[str] | None = None) -> int:
         entry.setdefault(hand, {})[set_up] = row
         ordered = {name: outcomes[name] for name in GRASP_TYPES if name in outcomes}
         write_text(options.out, text_of(ordered))
-    return 0
 
 
 if __name__ == "__main__":

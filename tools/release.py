@@ -131,13 +131,12 @@ def release(
     print("not tagged: --dry-run" if dry_run else f"tagged v{__version__}; push it with its branch")
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Make a release; the exit status is 2 if something is not in order."""
+def main(argv: list[str] | None = None) -> None:
+    """Make a release."""
     parser = command_parser("tools.release", __doc__ or "")
     parser.add_argument("--dry-run", action="store_true", help="check everything, tag nothing")
     arguments = parser.parse_args(argv)
     release(ROOT, dry_run=arguments.dry_run)
-    return 0
 
 
 if __name__ == "__main__":

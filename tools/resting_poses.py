@@ -104,7 +104,7 @@ def without_restless(
             raise RuntimeError(f"{name} has no other pose")
 
 
-def main(argv: list[str] | None = None) -> int:
+def main(argv: list[str] | None = None) -> None:
     """Find the poses and write the file."""
     parser = command_parser("tools.resting_poses", __doc__)
     parser.add_argument(
@@ -133,7 +133,6 @@ def main(argv: list[str] | None = None) -> int:
         text += f"\n[{name}]\nstand = {stand}\nposes = [\n{poses}]\n"
     write_text(FILE, text)
     print(f"{FILE}: poses of {len(wanted)} objects of {len(objects)}")
-    return 0
 
 
 if __name__ == "__main__":

@@ -5,7 +5,6 @@ wheel cost. Statements count, not lines: width hides growth.
 """
 
 import ast
-import sys
 from collections import defaultdict
 from collections.abc import Iterable
 from pathlib import Path
@@ -68,7 +67,7 @@ def price(names: Iterable[str]) -> int:
     return sum(statements(ast.parse(path.read_text(encoding="utf-8"))) for path in files)
 
 
-def main() -> int:
+def main() -> None:
     """Print the tables."""
     rows = []
     lengths = {}
@@ -95,8 +94,7 @@ def main() -> int:
         print(f"\nLargest {title}: {', '.join(f'{name} {lines}' for name, lines in largest)}")
     prices = [(name, price(parts)) for name, parts in PRICES.items()]
     print(f"\n{markdown(('to go with', 'statements'), prices)}")
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -80,11 +80,8 @@ def test_goals_are_recorded_and_cloned_too(tmp_path, monkeypatch):
     assert {name: len(values) for name, values in episode.observations.items()} == dict.fromkeys(
         ("observation", "achieved_goal", "desired_goal"), len(episode.actions) + 1
     )
-    assert (
-        clone.main(
-            [str(tmp_path / "posture"), "--out", str(tmp_path), "--epochs", "1", "--rounds", "2"]
-        )
-        == 0
+    clone.main(
+        [str(tmp_path / "posture"), "--out", str(tmp_path), "--epochs", "1", "--rounds", "2"]
     )
     with gymnasium.make("hpac_gym:HPAC-Posture-v1", engine="mujoco") as env:
         policy = load_policy(str(tmp_path / "policy.hpac"), env)
@@ -169,7 +166,7 @@ def test_a_clones_successes_are_those_of_whole_episodes(monkeypatch, capsys):
 
 
 def test_a_clone_does_what_it_was_shown(folder, tmp_path, capsys):
-    assert clone.main([str(folder), "--out", str(tmp_path), "--epochs", "60"]) == 0
+    clone.main([str(folder), "--out", str(tmp_path), "--epochs", "60"])
     policy = read_policy(tmp_path / "policy.hpac")
     episode = next(
         episode
