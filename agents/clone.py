@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from agents import POLICY, RunError, target_of
-from hpac_gym.command import command_parser, run, whole_number
+from hpac_gym.command import add_counts, command_parser, run
 from hpac_gym.evaluation.dataset import read_dataset
 from hpac_gym.evaluation.environment import make_env, versions
 from hpac_gym.evaluation.episodes import run_episodes, worlds
@@ -125,22 +125,16 @@ def main(argv: list[str] | None = None) -> None:
     parser = command_parser("agents.clone", __doc__)
     parser.add_argument("dataset", type=Path, help="folder that hpac record wrote")
     parser.add_argument("--out", type=Path, required=True, help="folder of the policy")
-    parser.add_argument(
-        "--epochs",
-        type=whole_number(1),
-        default=30,
-        help="number of passes over the data, also in each round",
-    )
-    parser.add_argument(
-        "--rounds", type=whole_number(0), default=0, help="number of rounds in which it acts itself"
+    add_counts(
+        parser,
+        epochs=(1, 30, "number of passes over the data, also in each round"),
+        rounds=(0, 0, "number of rounds in which it acts itself"),
+        seed=(0, 0, "seed of weights, order and rounds"),
     )
     parser.add_argument(
         "--expert",
         default="scripted",
         help="whom it imitates in the rounds: scripted, or a policy file",
-    )
-    parser.add_argument(
-        "--seed", type=whole_number(0), default=0, help="seed of weights, order and rounds"
     )
     args = parser.parse_args(argv)
     dataset = read_dataset(args.dataset)

@@ -9,7 +9,7 @@ import sys
 import time
 from pathlib import Path
 
-from hpac_gym.command import command_parser, minutes, run, whole_number
+from hpac_gym.command import add_counts, command_parser, minutes, run
 from hpac_gym.output import writable_folder
 
 RESULTS = (
@@ -47,10 +47,11 @@ def main(argv: list[str] | None = None) -> int:
     parser = command_parser("agents.demo", __doc__)
     parser.add_argument("--out", type=Path, default=Path("runs/demo"), help="folder of the results")
     parser.add_argument("--minutes", type=minutes, default=10.0, help="training time")
-    parser.add_argument(
-        "--episodes", type=whole_number(1), default=400, help="held-out episodes of each policy"
+    add_counts(
+        parser,
+        episodes=(1, 400, "held-out episodes of each policy"),
+        seed=(0, 0, "seed of the training"),
     )
-    parser.add_argument("--seed", type=whole_number(0), default=0, help="seed of the training")
     args = parser.parse_args(argv)
     writable_folder(args.out)
     started = time.monotonic()

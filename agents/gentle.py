@@ -22,7 +22,7 @@ from torch import nn
 from agents import POLICY, RunError, target_of
 from agents.gentle_rule import CLOSING, MOVES, PER_RADIAN, RULE, STEPS, UNTOLD
 from agents.networks import MEAN_CLIP, OBSERVATION_CLIP, actor_of, mean_and_scale, scaled
-from hpac_gym.command import command_parser, run, whole_number
+from hpac_gym.command import add_counts, command_parser, run
 from hpac_gym.envs.sb3 import HandVecEnv
 from hpac_gym.evaluation.environment import versions
 from hpac_gym.evaluation.seeds import training_seed
@@ -231,9 +231,12 @@ def main(argv: list[str] | None = None) -> None:
     parser = command_parser("agents.gentle", __doc__)
     parser.add_argument("--out", type=Path, required=True, help="folder of the policy")
     parser.add_argument("--obs", choices=("deploy", "load"), default="load", help="observation")
-    parser.add_argument("--seed", type=whole_number(0), default=0, help="of the training")
-    parser.add_argument("--rounds", type=whole_number(1), default=8, help="rounds of imitation")
-    parser.add_argument("--steps", type=whole_number(0), default=0, help="control steps of PPO")
+    add_counts(
+        parser,
+        seed=(0, 0, "of the training"),
+        rounds=(1, 8, "rounds of imitation"),
+        steps=(0, 0, "control steps of PPO"),
+    )
     parser.add_argument("--untold", action="store_true", help="the crush limit is not told")
     parser.add_argument("--body", choices=tuple(BODIES), default="light", help="the hand's inertia")
     args = parser.parse_args(argv)

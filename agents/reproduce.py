@@ -21,7 +21,7 @@ from agents import POLICY, RecipeError, RunError
 from agents.curves import draw_trials
 from agents.progress import CURVE
 from agents.runs import RUN
-from hpac_gym.command import command_parser, minutes, run, whole_number
+from hpac_gym.command import add_counts, command_parser, minutes, run
 from hpac_gym.evaluation.evaluate import evaluate
 from hpac_gym.evaluation.options import DEFAULT_ENV, env_id_of
 from hpac_gym.evaluation.statistics import bootstrap_interval, interquartile_mean, rate_text
@@ -166,16 +166,15 @@ def main(argv: list[str] | None = None) -> None:
         default=[],
         help="race: a learner; may be repeated; default: all",
     )
-    parser.add_argument(
-        "--seeds", type=whole_number(1), default=1, help="race: number of trainings of each learner"
+    add_counts(
+        parser,
+        seeds=(1, 1, "race: number of trainings of each learner"),
+        episodes=(1, 400, "held-out episodes per cell"),
+        workers=(1, 1, "number of processes"),
     )
     parser.add_argument(
         "--minutes", type=minutes, default=15.0, help="race: time of each missing training"
     )
-    parser.add_argument(
-        "--episodes", type=whole_number(1), default=400, help="held-out episodes per cell"
-    )
-    parser.add_argument("--workers", type=whole_number(1), default=1, help="number of processes")
     parser.add_argument("--out", type=Path, help="also write the numbers to this JSON file")
     parser.add_argument(
         "--picture", type=Path, help="race, seeds: also draw success over trials to this PNG file"

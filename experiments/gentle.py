@@ -20,7 +20,7 @@ import numpy as np
 from agents.gentle import Hands
 from agents.gentle_rule import CLOSING, MOVES, PER_RADIAN, RULE, STEPS, UNTOLD
 from experiments.results import read_results, write_results
-from hpac_gym.command import command_parser, run, whole_number
+from hpac_gym.command import add_counts, command_parser, run
 from hpac_gym.evaluation.episodes import run_episodes, worlds
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import success_counts
@@ -258,12 +258,11 @@ def main(argv: list[str] | None = None) -> None:
     parser.add_argument("policies", nargs="*", help="of `judge`: gentle, or policy files")
     parser.add_argument("--set-up", choices=SET_UPS, default=SET_UP, help="engine and body")
     parser.add_argument("--untold", action="store_true", help="the crush limit is not told")
-    parser.add_argument("--episodes", type=whole_number(1), default=384, help="how many")
-    parser.add_argument(
-        "--seed-start", type=whole_number(0), default=HELD_OUT_SEED, help="of `judge`"
-    )
-    parser.add_argument(
-        "--closures", type=whole_number(1), default=64, help="number of random closures"
+    add_counts(
+        parser,
+        episodes=(1, 384, "how many"),
+        seed_start=(0, HELD_OUT_SEED, "of `judge`"),
+        closures=(1, 64, "number of random closures"),
     )
     parser.add_argument("--out", type=Path, default=Path("runs/gentle"), help="folder of results")
     arguments = parser.parse_args(argv)

@@ -12,7 +12,7 @@ from pathlib import Path
 from experiments import commands, hidden, labels, populations, reference, rivals, tracking, trials
 from experiments.populations import Workshop
 from experiments.results import Part
-from hpac_gym.command import command_parser, run, whole_number
+from hpac_gym.command import add_counts, command_parser, run
 from hpac_gym.figures import save
 from hpac_gym.output import writable_folder, write_text
 
@@ -36,19 +36,13 @@ def main(argv: list[str] | None = None) -> None:
         metavar="PART",
         help=f"parts to run: {', '.join(PARTS)} (default: all)",
     )
-    parser.add_argument(
-        "--hands",
-        type=whole_number(2),
-        metavar="N",
-        help="hands per population (400; costly parts: fewer)",
+    add_counts(
+        parser,
+        hands=(2, None, "hands per population (400; costly parts: fewer)"),
+        seeds=(2, 20, "reference seeds"),
+        trials=(3, 5, "trials and tracking runs"),
+        seed=(0, 0, "seed of all parts"),
     )
-    parser.add_argument(
-        "--seeds", type=whole_number(2), default=20, metavar="N", help="reference seeds"
-    )
-    parser.add_argument(
-        "--trials", type=whole_number(3), default=5, metavar="N", help="trials and tracking runs"
-    )
-    parser.add_argument("--seed", type=whole_number(0), default=0, help="seed of all parts")
     parser.add_argument(
         "--quick", action="store_true", help="few and coarse runs, to test the command"
     )

@@ -25,7 +25,7 @@ from hpac_gym.calibration.judging import judged
 from hpac_gym.camera import CameraError
 from hpac_gym.camera.detection import Lens, detect
 from hpac_gym.camera.poses import object_place
-from hpac_gym.command import command_parser, run, whole_number
+from hpac_gym.command import add_counts, command_parser, run
 from hpac_gym.model import HPAC, Array
 from hpac_gym.progress import progress
 
@@ -93,9 +93,12 @@ def quantiles(errors: Array) -> dict[str, float]:
 def main(argv: list[str] | None = None) -> None:
     """Render, measure, write the figures."""
     parser = command_parser("experiments.watched", __doc__)
-    parser.add_argument("--pictures", type=whole_number(0), default=500)
-    parser.add_argument("--hands", type=whole_number(0), default=2)
-    parser.add_argument("--seed", type=whole_number(0), default=0)
+    add_counts(
+        parser,
+        pictures=(0, 500, "pictures of an object"),
+        hands=(0, 2, "hands that are swept"),
+        seed=(0, 0, "of pictures and hands"),
+    )
     add_out(parser)
     arguments = parser.parse_args(argv)
     seed = arguments.seed

@@ -72,6 +72,13 @@ def whole_number(at_least: int) -> Callable[[str], int]:
     return parse
 
 
+def add_counts(parser: argparse.ArgumentParser, **counts: tuple[int, int | None, str]) -> None:
+    """Arguments that are whole numbers: least value, default and help by name."""
+    for name, (at_least, default, text) in counts.items():
+        option = f"--{name.replace('_', '-')}"
+        parser.add_argument(option, type=whole_number(at_least), default=default, help=text)
+
+
 def add_json(parser: argparse.ArgumentParser) -> None:
     """The argument ``--json`` of a command that tells with `say`."""
     parser.add_argument("--json", action="store_true", help="print one JSON object a line")

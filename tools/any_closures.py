@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpac_gym.body.object_sets import SPLITS
-from hpac_gym.command import command_parser, run, whole_number
+from hpac_gym.command import add_counts, command_parser, run
 from hpac_gym.envs import HandVectorEnv
 from hpac_gym.evaluation.episodes import run_episodes
 from hpac_gym.evaluation.seeds import BENCHMARK_SEED
@@ -83,11 +83,10 @@ def first_winners(player: Player, seeds: Sequence[int], most: int) -> dict[int, 
 def main(argv: list[str] | None = None) -> None:
     parser = command_parser("tools.any_closures", __doc__)
     parser.add_argument("--objects", choices=SPLITS, default="real", help="split of the objects")
-    parser.add_argument(
-        "--episodes", type=whole_number(1), default=200, help="number of evaluation episodes"
-    )
-    parser.add_argument(
-        "--seed-start", type=whole_number(0), default=BENCHMARK_SEED, help="first seed"
+    add_counts(
+        parser,
+        episodes=(1, 200, "number of evaluation episodes"),
+        seed_start=(0, BENCHMARK_SEED, "first seed"),
     )
     args = parser.parse_args(argv)
     seeds = range(args.seed_start, args.seed_start + args.episodes)

@@ -15,7 +15,7 @@ from pathlib import Path
 import gymnasium
 import numpy as np
 
-from hpac_gym.command import command_parser, run, whole_number
+from hpac_gym.command import add_counts, command_parser, run
 from hpac_gym.evaluation.blind import Blind
 from hpac_gym.evaluation.episodes import run_episodes, single
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
@@ -153,16 +153,14 @@ def main(argv: list[str] | None = None) -> None:
     parser.add_argument(
         "--blind", action="store_true", help="search the best blind closure instead"
     )
-    parser.add_argument(
-        "--seeds",
-        type=whole_number(1),
-        default=400,
-        help=f"number of seeds, from {HELD_OUT_SEED} on",
+    add_counts(
+        parser,
+        seeds=(1, 400, f"number of seeds, from {HELD_OUT_SEED} on"),
+        workers=(1, 1, "number of processes"),
     )
     parser.add_argument(
         "--engine", choices=ENGINES, default="pybullet", help="physics engine; of --blind"
     )
-    parser.add_argument("--workers", type=whole_number(1), default=1, help="number of processes")
     args = parser.parse_args(argv)
     if args.engine != "pybullet" and not args.blind:
         parser.error(

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hpac_gym.command import command_parser, run, whole_number
+from hpac_gym.command import add_counts, command_parser, run
 from hpac_gym.evaluation.episodes import run_episodes, worlds
 from hpac_gym.model import HPAC, SERVOS, Array
 from hpac_gym.physics.simulation import ENGINES
@@ -71,9 +71,12 @@ def main(argv: list[str] | None = None) -> None:
     """Search grasps, and print or write the results."""
     parser = command_parser("tools.closure_search", __doc__)
     parser.add_argument("names", choices=list(GRASPS), nargs="+", metavar="NAME")
-    parser.add_argument("--generations", type=whole_number(1), default=16)
-    parser.add_argument("--population", type=whole_number(4), default=32)
-    parser.add_argument("--seed", type=whole_number(0), default=0)
+    add_counts(
+        parser,
+        generations=(1, 16, "generations of the search"),
+        population=(4, 32, "candidates of a generation"),
+        seed=(0, 0, "of the search"),
+    )
     parser.add_argument("--write", action="store_true", help="write the results to the data")
     options = parser.parse_args(argv)
     for name in options.names:

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from hpac_gym.command import command_parser, run, whole_number
+from hpac_gym.command import add_counts, command_parser, run
 from hpac_gym.envs.randomization import PRESETS
 from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, Array, joints_from_synergy
 from hpac_gym.output import write_text
@@ -155,8 +155,12 @@ def main(argv: list[str] | None = None) -> None:
     """Search one type, and print or write the result."""
     parser = command_parser("tools.grasp_search", __doc__)
     parser.add_argument("name", choices=list(GRASP_TYPES), metavar="NAME")
-    parser.add_argument("--generations", type=whole_number(1), default=12)
-    parser.add_argument("--population", type=whole_number(ELITE), default=24)
+    add_counts(
+        parser,
+        generations=(1, 12, "generations of the search"),
+        population=(ELITE, 24, "candidates of a generation"),
+        seed=(0, 0, "of the search"),
+    )
     parser.add_argument(
         "--engines",
         nargs="+",
@@ -168,7 +172,6 @@ def main(argv: list[str] | None = None) -> None:
     parser.add_argument(
         "--spread", type=float, default=1.0, help="factor of the initial standard deviations"
     )
-    parser.add_argument("--seed", type=whole_number(0), default=0)
     parser.add_argument("--write", action="store_true", help="write the result to the data")
     options = parser.parse_args(argv)
     grasp_type = search(options)

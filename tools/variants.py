@@ -19,7 +19,7 @@ from agents.recipes import RECIPES
 from agents.reproduce import middle
 from agents.runs import RUN, recipe_in, saved_trials
 from agents.train import train
-from hpac_gym.command import command_parser, run, whole_number
+from hpac_gym.command import add_counts, command_parser, run
 from hpac_gym.evaluation.evaluate import evaluate
 from hpac_gym.evaluation.options import DEFAULT_ENV
 from hpac_gym.output import markdown, writable_folder
@@ -57,23 +57,12 @@ def success(
 
 def main(argv: list[str] | None = None) -> int:
     parser = command_parser("tools.variants", __doc__)
-    parser.add_argument(
-        "--seeds", type=whole_number(1), default=5, help="number of trainings of each variant"
-    )
-    parser.add_argument(
-        "--trials", type=whole_number(3_000), default=8_000, help="trials per training"
-    )
-    parser.add_argument(
-        "--episodes",
-        type=whole_number(1),
-        default=1_000,
-        help="held-out episodes of each policy and cell",
-    )
-    parser.add_argument(
-        "--workers",
-        type=whole_number(1),
-        default=os.cpu_count() or 1,
-        help="processes of an evaluation",
+    add_counts(
+        parser,
+        seeds=(1, 5, "number of trainings of each variant"),
+        trials=(3_000, 8_000, "trials per training"),
+        episodes=(1, 1_000, "held-out episodes of each policy and cell"),
+        workers=(1, os.cpu_count() or 1, "processes of an evaluation"),
     )
     parser.add_argument("--out", type=Path, required=True, help="folder of the trainings")
     args = parser.parse_args(argv)

@@ -20,7 +20,7 @@ from hpac_gym.bridge import BridgeError, FaultError, HandLink, HostBoard
 from hpac_gym.bridge.commands import verdict
 from hpac_gym.bridge.firmware import firmware_file
 from hpac_gym.bridge.protocol import CONSTANTS, Action
-from hpac_gym.command import command_parser, run, whole_number
+from hpac_gym.command import add_counts, command_parser, run
 from tools.evidence import hostile, scenarios
 from tools.evidence.judged_hand import (
     AlwaysOn,
@@ -314,10 +314,13 @@ def main(argv: list[str] | None = None) -> int:
         action="store_true",
         help="print a list of claim, figure, limit, unit, tried, control, holds",
     )
-    parser.add_argument("--frames", type=whole_number(1), default=10_000_000, help="hostile frames")
-    parser.add_argument("--trials", type=whole_number(1), default=20, help="wall-clock repetitions")
-    parser.add_argument("--sessions", type=whole_number(1), default=10_000, help="random sessions")
-    parser.add_argument("--seed", type=whole_number(1), default=1, help="of frames and sessions")
+    add_counts(
+        parser,
+        frames=(1, 10_000_000, "hostile frames"),
+        trials=(1, 20, "wall-clock repetitions"),
+        sessions=(1, 10_000, "random sessions"),
+        seed=(1, 1, "of frames and sessions"),
+    )
     arguments = parser.parse_args(argv)
     claims = measure(arguments.frames, arguments.trials, arguments.sessions, arguments.seed)
     names = ("claim", "figure", "limit", "unit", "tried", "control", "holds")

@@ -23,7 +23,7 @@ import numpy as np
 from tqdm import tqdm
 
 from hpac_gym.bridge import HostBoard, PortError, SerialTransport
-from hpac_gym.command import command_parser, run, whole_number
+from hpac_gym.command import add_counts, command_parser, run
 from tools.evidence.programs import CONTROLS, Program, drawn
 
 SETTLED = 0.5
@@ -140,9 +140,12 @@ def summary(verdicts: list[Verdict]) -> str:
 def main(argv: list[str] | None = None) -> int:
     """Run programs, print what was left; the status is 1 if anything was."""
     parser = command_parser("tools.evidence.user_programs", __doc__)
-    parser.add_argument("--count", type=whole_number(1), default=300, help="number of programs")
-    parser.add_argument("--seed", type=whole_number(0), default=0)
-    parser.add_argument("--workers", type=whole_number(1), default=4, help="programs at a time")
+    add_counts(
+        parser,
+        count=(1, 300, "number of programs"),
+        seed=(0, 0, "of the programs"),
+        workers=(1, 4, "programs at a time"),
+    )
     parser.add_argument("--control", choices=CONTROLS, default="", help="part to take out")
     arguments = parser.parse_args(argv)
     verdicts = run_programs(arguments.count, arguments.seed, arguments.workers, arguments.control)
