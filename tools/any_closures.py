@@ -4,7 +4,8 @@ Counts the episodes of a split that at least one of several random closures hold
 nominal hands; an episode ends after the shake, which decides its success."""
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,35 +24,23 @@ HIGHEST = np.array([0.8, 1.0, 1.0, 1.0, 1.0, 0.8, 28.0, 12.0])
 """Bounds of random closures: actions of the six goals, duration and thumb delay [control steps]."""
 CLOSURES = Closures(goal=(-1.0, 1.0), duration=(10.0, 28.0), thumb_delay=(-6.0, 12.0))
 TRIES = (1, 4, 16, 64)
+WORLDS = 64
 
 
-class Player:
-    """Runs closures in batches of n episodes of one split.
-
-    Args:
-        objects: the split.
-        count: batch size n.
+def played(envs: HandVectorEnv, seeds: Sequence[int], decisions: NDArray) -> NDArray[np.bool_]:
+    """Run the episodes of seeds, each with the closure of its decision, shape (len(seeds), 8), and
+    return their successes, shape (len(seeds),).
     """
-
-    def __init__(self, objects: str, count: int = 64) -> None:
-        self.count = count
-        task = GraspAny(objects, config=GraspAnyConfig(side_time=0.05, ramp_time=0.05))
-        self._envs = HandVectorEnv(task, count, "Disabled", engine="mujoco")
-
-    def play(self, seeds: Sequence[int], decisions: NDArray) -> NDArray[np.bool_]:
-        """Run the episodes of seeds, each with the closure of its decision, shape (len(seeds), 8),
-        and return their successes, shape (len(seeds),).
-        """
-        won = np.zeros(len(seeds), bool)
-        waiting = iter(decisions)
-        policy = LearnedPolicy(lambda _: next(waiting), closures=CLOSURES)
-        places = iter(range(len(seeds)))
-        playing = [0] * self.count
-        for step in run_episodes(self._envs, [policy] * self.count, seeds):
-            if step.number == 0:
-                playing[step.world] = next(places)
-            won[playing[step.world]] |= step.success
-        return won
+    won = np.zeros(len(seeds), bool)
+    waiting = iter(decisions)
+    policy = LearnedPolicy(lambda _: next(waiting), closures=CLOSURES)
+    places = iter(range(len(seeds)))
+    playing = [0] * envs.num_envs
+    for step in run_episodes(envs, [policy] * envs.num_envs, seeds):
+        if step.number == 0:
+            playing[step.world] = next(places)
+        won[playing[step.world]] |= step.success
+    return won
 
 
 def drawn_closure(seed: int, number: int) -> NDArray[np.float64]:
@@ -59,20 +48,22 @@ def drawn_closure(seed: int, number: int) -> NDArray[np.float64]:
     return CLOSURES.decisions(np.random.default_rng([seed, number, 3]).uniform(LOWEST, HIGHEST))
 
 
-def first_winners(player: Player, seeds: Sequence[int], most: int) -> dict[int, int]:
+def first_winners(
+    play: Callable[[Sequence[int], NDArray], NDArray], seeds: Sequence[int], most: int
+) -> dict[int, int]:
     """Number of random closures up to the first success, at most ``most``, by seed; seeds without
-    success are absent.
+    success are absent. `play` is `played` in some worlds, of which there are `WORLDS`.
     """
     tried = dict.fromkeys(seeds, 0)
     tries_of = {}
     while left := [seed for seed in seeds if seed not in tries_of and tried[seed] < most]:
-        each = -(-player.count // len(left))  # keeps all worlds busy
+        each = -(-WORLDS // len(left))  # keeps all worlds busy
         jobs = [
             (seed, number)
             for seed in left
             for number in range(tried[seed], min(tried[seed] + each, most))
         ]
-        won = player.play([seed for seed, _ in jobs], np.array([drawn_closure(*j) for j in jobs]))
+        won = play([seed for seed, _ in jobs], np.array([drawn_closure(*j) for j in jobs]))
         for (seed, number), held in zip(jobs, won, strict=True):
             tried[seed] = number + 1
             if held:
@@ -90,7 +81,9 @@ def main(argv: list[str] | None = None) -> None:
     )
     args = parser.parse_args(argv)
     seeds = range(args.seed_start, args.seed_start + args.episodes)
-    tries_of = first_winners(Player(args.objects), seeds, TRIES[-1])
+    task = GraspAny(args.objects, config=GraspAnyConfig(side_time=0.05, ramp_time=0.05))
+    envs = HandVectorEnv(task, WORLDS, "Disabled", engine="mujoco")
+    tries_of = first_winners(partial(played, envs), seeds, TRIES[-1])
     for most in TRIES:
         won = sum(tries <= most for tries in tries_of.values())
         print(

@@ -9,7 +9,6 @@ import subprocess
 import sys
 import timeit
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,19 +16,6 @@ from hpac_gym.model import HPAC, joints_from_synergy, servo_from_action, servo_f
 
 BATCH = 100_000
 ROUNDS = 9
-
-
-@dataclass(frozen=True, slots=True)
-class Row:
-    """One measured figure, and that of a bare counterpart."""
-
-    name: str
-    value: float
-    unit: str
-    bare: float
-    """The counterpart, in the same unit and the same run."""
-    ratio: float
-    """Cost of the figure over the cost of its counterpart: above 1 is slower."""
 
 
 def seconds_per_call(call: Callable[[], object], calls: int) -> float:
@@ -53,21 +39,23 @@ def bare_servo_from_action(action: np.ndarray) -> np.ndarray:
     return bare_servo_from_joints(synergy[..., HPAC.servo_of_joint] * HPAC.elastic_ratio)
 
 
-def model_rows() -> list[Row]:
-    """Time one command with all its checks, and a batch of postures on one core."""
+def cost_of_a_command() -> tuple[float, float]:
+    """Time of one command with all its checks, and of the bare maps [µs]."""
+    action = np.random.default_rng(0).uniform(-1, 1, 6)
+    return (
+        1e6 * seconds_per_call(lambda: servo_from_action(action), 2000),
+        1e6 * seconds_per_call(lambda: bare_servo_from_action(action), 2000),
+    )
+
+
+def rate_of_a_batch() -> tuple[float, float]:
+    """Postures per second on one core with all checks, and by the bare map [million/s]."""
     rng = np.random.default_rng(0)
-    action = rng.uniform(-1, 1, 6)
-    one = 1e6 * seconds_per_call(lambda: servo_from_action(action), 2000)
-    bare_one = 1e6 * seconds_per_call(lambda: bare_servo_from_action(action), 2000)
     posture = joints_from_synergy(rng.uniform(HPAC.synergy_min, HPAC.synergy_max, (BATCH, 6)))
-    rate = BATCH / seconds_per_call(lambda: servo_from_joints(posture), 1) / 1e6
-    bare_rate = BATCH / seconds_per_call(lambda: bare_servo_from_joints(posture), 1) / 1e6
-    return [
-        Row("servo_from_action, one command", one, "µs", bare_one, one / bare_one),
-        Row(
-            f"servo_from_joints, {BATCH:,} postures", rate, "million/s", bare_rate, bare_rate / rate
-        ),
-    ]
+    return (
+        BATCH / seconds_per_call(lambda: servo_from_joints(posture), 1) / 1e6,
+        BATCH / seconds_per_call(lambda: bare_servo_from_joints(posture), 1) / 1e6,
+    )
 
 
 def cpu_seconds(*words: str) -> float:
@@ -81,19 +69,18 @@ def cpu_seconds(*words: str) -> float:
     return best
 
 
-def start_row() -> Row:
-    """Time the list of commands, compared with an idle interpreter."""
-    start = 1e3 * cpu_seconds("-m", "hpac", "--help")
-    bare = 1e3 * cpu_seconds("-c", "pass")
-    return Row("hpac --help", start, "ms", bare, start / bare)
-
-
 def main() -> None:
-    """Measure and print."""
-    for row in (*model_rows(), start_row()):
-        print(
-            f"{row.name:<40} {row.value:8.1f} {row.unit:<10} bare {row.bare:6.1f}   × {row.ratio:.1f}"
-        )
+    """Measure and print each figure, its bare counterpart, and how much slower it is."""
+    command, bare_command = cost_of_a_command()
+    rate, bare_rate = rate_of_a_batch()
+    start = 1e3 * cpu_seconds("-m", "hpac", "--help")
+    bare_start = 1e3 * cpu_seconds("-c", "pass")
+    for name, value, unit, bare, slower in (
+        ("servo_from_action, one command", command, "µs", bare_command, command / bare_command),
+        (f"servo_from_joints, {BATCH:,} postures", rate, "million/s", bare_rate, bare_rate / rate),
+        ("hpac --help", start, "ms", bare_start, start / bare_start),
+    ):
+        print(f"{name:<40} {value:8.1f} {unit:<10} bare {bare:6.1f}   × {slower:.1f}")
 
 
 if __name__ == "__main__":

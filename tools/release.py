@@ -132,11 +132,9 @@ def release(
 
 
 def main(argv: list[str] | None = None) -> None:
-    """Make a release."""
     parser = command_parser("tools.release", __doc__ or "")
     parser.add_argument("--dry-run", action="store_true", help="check everything, tag nothing")
-    arguments = parser.parse_args(argv)
-    release(ROOT, dry_run=arguments.dry_run)
+    release(ROOT, dry_run=parser.parse_args(argv).dry_run)
 
 
 if __name__ == "__main__":

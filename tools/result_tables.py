@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from experiments.results import mean_of, percent
+from experiments.results import mean_of, percent, read_results
 from hpac_gym.evaluation import results, splits
 from hpac_gym.evaluation.blind import score
 from hpac_gym.evaluation.statistics import rate_text
@@ -18,9 +18,7 @@ GENTLE_LIMITS = ("2.5 to 3 N", "3 to 4 N", "4 to 5 N", "all")
 
 def experiment(name: str) -> dict[str, Any]:
     """The data of an experiment."""
-    file = DOCS / "results" / "experiments" / f"{name}.json"
-    read: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
-    return read
+    return read_results(DOCS / "results" / "experiments" / f"{name}.json", "command")
 
 
 def scale_table() -> str:

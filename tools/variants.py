@@ -45,16 +45,6 @@ lowest.
 """
 
 
-def success(
-    policies: list[str], options: dict[str, str], episodes: int, workers: int
-) -> np.ndarray:
-    """Success of policies in the same episodes, shape (policies,)."""
-    judged = evaluate(policies, DEFAULT_ENV, episodes, workers=workers, options=options).summary()[
-        "policies"
-    ]
-    return np.array([cell["success_rate"] for cell in judged.values()])
-
-
 def main(argv: list[str] | None = None) -> int:
     parser = command_parser("tools.variants", __doc__)
     add_counts(
@@ -87,15 +77,15 @@ def main(argv: list[str] | None = None) -> int:
                 return status
     print(markdown(("variant", "median [%]", "lowest", *JUDGED), ()))
     for name, files in policies.items():
-        rates = [
-            success(files, options, args.episodes, args.workers) for options in JUDGED.values()
-        ]
-        texts = [
-            f"{100 * np.median(rates[0]):.1f}",
-            f"{100 * rates[0].min():.1f}",
-            *map(middle, rates),
-        ]
-        print(f"| {name} | {' | '.join(texts)} |", flush=True)
+        rates = []
+        for options in JUDGED.values():
+            judged = evaluate(
+                files, DEFAULT_ENV, args.episodes, workers=args.workers, options=options
+            )
+            cells = judged.summary()["policies"].values()
+            rates.append(np.array([cell["success_rate"] for cell in cells]))
+        ends = f"{100 * np.median(rates[0]):.1f} | {100 * rates[0].min():.1f}"
+        print(f"| {name} | {ends} | {' | '.join(map(middle, rates))} |", flush=True)
     return 0
 
 

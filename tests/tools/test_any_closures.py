@@ -1,7 +1,5 @@
 """The headroom of HPAC-GraspAny-v1: what is counted is what was played."""
 
-from types import SimpleNamespace
-
 import numpy as np
 
 from tools import any_closures
@@ -17,7 +15,7 @@ def test_random_closures_differ_and_stay_in_their_ranges():
     assert len(np.unique(drawn, axis=0)) == 400
 
 
-def test_the_first_winner_of_each_seed_is_counted():
+def test_the_first_winner_of_each_seed_is_counted(monkeypatch):
     """Here a seed is won by its closure of that number, and seed 7 by none; several of a seed may
     be tried at once.
     """
@@ -32,6 +30,6 @@ def test_the_first_winner_of_each_seed_is_counted():
             ]
         )
 
-    player = SimpleNamespace(play=play, count=16)
-    assert any_closures.first_winners(player, range(12), 8) == {seed: seed + 1 for seed in range(7)}
+    monkeypatch.setattr(any_closures, "WORLDS", 16)
+    assert any_closures.first_winners(play, range(12), 8) == {seed: seed + 1 for seed in range(7)}
     assert tried.count(9) == 8, "no closure is tried beyond the last one"
