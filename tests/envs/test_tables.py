@@ -18,7 +18,7 @@ from hpac_gym.tasks.grip import MAX_SLIP
 from hpac_gym.tasks.phases import PickPlaceTimetable, Timetable
 from hpac_gym.tasks.task import CONTROL_HZ
 from hpac_gym.tasks.terms import GRASP_CENTRE
-from tools.tables import DOCS, PAGES, filled
+from tools.generate import DOCS, PAGES, filled
 
 ID_PAGES = {
     GRASP: "environments/grasp.md",
