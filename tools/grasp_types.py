@@ -94,20 +94,6 @@ def results() -> dict[str, Any]:
     return json.loads(RESULTS.read_text(encoding="utf-8"))
 
 
-def text_of(outcomes: dict[str, Any]) -> str:
-    """Text of the file, with one line per type, hand and set-up."""
-    types = []
-    for name, entry in outcomes.items():
-        rows = [f'  "data": "{entry["data"]}"']
-        for hand in filter(entry.__contains__, HANDS):
-            cells = ",\n".join(
-                f'   "{set_up}": {json.dumps(row)}' for set_up, row in entry[hand].items()
-            )
-            rows.append(f'  "{hand}": {{\n{cells}\n  }}')
-        types.append(f' "{name}": {{\n' + ",\n".join(rows) + "\n }")
-    return "{\n" + ",\n".join(types) + "\n}\n"
-
-
 def rule_table() -> str:
     """Table of the objects, descriptions and rules of the grasp types."""
     rows = []
@@ -170,7 +156,6 @@ def picture(path: Path) -> None:
 
 
 def main(argv: list[str] | None = None) -> None:
-    """Evaluate types and write the file."""
     parser = command_parser("tools.grasp_types", __doc__)
     parser.add_argument(
         "--types", nargs="+", default=list(GRASP_TYPES), choices=list(GRASP_TYPES), metavar="NAME"
@@ -227,7 +212,7 @@ def main(argv: list[str] | None = None) -> None:
             continue
         entry.setdefault(hand, {})[set_up] = row
         ordered = {name: outcomes[name] for name in GRASP_TYPES if name in outcomes}
-        write_text(options.out, text_of(ordered))
+        write_text(options.out, json.dumps(ordered, indent=1) + "\n")
 
 
 if __name__ == "__main__":
