@@ -23,6 +23,7 @@ from typing import Any
 
 from hpac_gym.command import command_parser, run, whole_number
 from hpac_gym.errors import HpacError
+from hpac_gym.output import markdown
 from hpac_gym.physics.simulation import ENGINES
 
 WORKER = Path(__file__).with_name("env_bench_worker.py")
@@ -204,34 +205,36 @@ def measure(
     }
 
 
-def lines(report: Report) -> list[str]:
-    """The report as text: a single environment first, beside those of other libraries."""
-    text = ["steps per second of CPU time, hand holding a can, one thread"]
-    engines = report["engines"]
+def text_of(report: Report) -> str:
+    """The report as a table, and what a second thread gains."""
     peers = report["peers"]
-    for n in dict.fromkeys(n for answer in engines.values() for n in answer["reset_ms"]):
-        text.append("one environment, as gymnasium.make makes it" if n == "1" else f"n = {n}")
-        for name, answer in engines.items():
-            rate = answer["env_steps_per_cpu_second"][n]
-            told = [
-                f"engine's share {1 - answer['outside_engine'][n]:.0%}",
-                f"reset of a world {answer['reset_ms'][n]:.2f} ms",
-            ]
-            if peers:
-                goal = f" (goal {GOALS[name]:g})" if n == "1" else ""
-                told.append(f"× {rate / max(peers.values()):.2f} of the faster peer{goal}")
-            text.append(f"  {name:<24} {rate:6.0f}   {', '.join(told)}")
-        for name, rate in peers.items() if n == "1" else ():
-            hz = f"{report['peers_control_hz'][name]:g} commands a second"
-            text.append(f"  {name:<24} {rate:6.0f}   {hz}")
+
+    def beside_peers(engine: str, n: str, rate: float) -> str:
+        goal = f" (goal {GOALS[engine]:g})" if n == "1" else ""
+        return f"× {rate / max(peers.values()):.2f}{goal}" if peers else ""
+
+    rows = [
+        (
+            f"{name}, n = {n}",
+            f"{rate:.0f}",
+            f"{1 - answer['outside_engine'][n]:.0%}",
+            f"{answer['reset_ms'][n]:.2f}",
+            beside_peers(name, n, rate),
+        )
+        for name, answer in report["engines"].items()
+        for n, rate in answer["env_steps_per_cpu_second"].items()
+    ]
+    for name, rate in peers.items():
+        rows.append((f"{name}, {report['peers_control_hz'][name]:g} Hz", f"{rate:.0f}", "", "", ""))
+    head = ("hand holding a can, one thread", "steps per second of CPU time", "engine's share")
+    table = markdown((*head, "reset of a world [ms]", "of the faster peer"), rows)
     arithmetic = f"two processes of plain arithmetic × {report['two_processes_of_arithmetic']:.2f}"
-    if report["two_threads"]:
-        text.append(f"two threads over one, mujoco, × {report['two_threads']:.2f}; {arithmetic}")
-    return text
+    if report["two_threads"] is None:
+        return f"{table}\n\n{arithmetic}"
+    return f"{table}\n\ntwo threads over one, mujoco, × {report['two_threads']:.2f}; {arithmetic}"
 
 
 def main(argv: list[str] | None = None) -> None:
-    """Run the command: measure and print."""
     parser = command_parser("tools.env_bench", __doc__.partition("\n\n")[2])
     parser.add_argument(
         "--engine", choices=ENGINES, action="append", help="only this engine; may be repeated"
@@ -266,7 +269,7 @@ def main(argv: list[str] | None = None) -> None:
         else [name for name in PEERS if "panda" not in PEERS[name] or sys.version_info < (3, 12)]
     )
     report = measure(engines, arguments.num_envs, peers, arguments.rounds)
-    print(json.dumps(report, indent=2) if arguments.json else "\n".join(lines(report)))
+    print(json.dumps(report, indent=2) if arguments.json else text_of(report))
 
 
 if __name__ == "__main__":

@@ -1,7 +1,6 @@
 """The benchmark of the environments: what its figures are, not how high."""
 
 import json
-from copy import deepcopy
 
 import pytest
 
@@ -24,24 +23,19 @@ REPORT = {
 }
 
 
-def test_one_environment_is_printed_first_beside_the_peers_and_their_faster_one_is_to_beat():
-    text = bench.lines(REPORT)
-    assert text[1].startswith("one environment")
-    for line, name in zip(text[2:6], (*REPORT["engines"], *REPORT["peers"]), strict=True):
-        assert line.split()[0] == name
-    assert "130   engine's share 60%, reset of a world 0.30 ms, × 1.30 of the faster" in text[2]
-    assert text[2].endswith("peer (goal 1.3)")
-    assert "300   engine's share 90%, reset of a world 0.30 ms, × 3.00 of the faster" in text[8]
-    assert text[8].endswith("peer")
-    assert text[-1].endswith("× 1.80; two processes of plain arithmetic × 1.90")
+def test_a_row_tells_rate_share_reset_and_how_many_times_the_faster_peer():
+    text = bench.text_of(REPORT)
+    assert "| pybullet, n = 1 | 130 | 60% | 0.30 | × 1.30 (goal 1.3) |" in text
+    assert "| mujoco, n = 64 | 300 | 90% | 0.30 | × 3.00 |" in text
+    assert "| PandaPickAndPlace-v3, 25 Hz | 80 |" in text
+    assert text.endswith("× 1.80; two processes of plain arithmetic × 1.90")
 
 
 def test_what_is_not_measured_is_not_printed():
-    report = deepcopy(REPORT) | {"peers": {}, "peers_control_hz": {}, "two_threads": None}
-    del report["engines"]["mujoco"]
-    text = bench.lines(report)
-    assert len(text) == 5
-    assert "peer" not in "".join(text)
+    text = bench.text_of(REPORT | {"peers": {}, "two_threads": None})
+    assert "| pybullet, n = 1 | 130 | 60% | 0.30 |  |" in text
+    assert "Panda" not in text
+    assert "threads over" not in text
 
 
 @pytest.mark.parametrize("engine", [pytest.param("pybullet", marks=pytest.mark.slow), "mujoco"])
