@@ -289,6 +289,7 @@ MISTAKES = [
     ("agents.train grasp --out /proc/run", "cannot write to folder '/proc/run'"),
     ("agents.train grasp --out {folder}/taken", "already holds a run"),
     ("agents.train grasp --out {folder}/policy", "already holds a run"),
+    ("agents.train grasp --out {folder}/board", "already holds a run, 'tensorboard': --resume"),
     ("agents.train --out {folder}/run --resume", "no run in"),
     (RESUME, "cannot read the settings of"),
     (f"{RESUME} --dropout 0.2", "only --episodes can change"),
@@ -299,7 +300,21 @@ MISTAKES = [
     ),
     ("agents.race ppo --env Ant-v5 --out {folder}/race", "no environment 'Ant-v5': there are"),
     ("agents.race sac --set tau2=1 --out {folder}/race", "unknown options tau2: there are"),
+    ("agents.race ppo --set tau=0.02 --out {folder}/race", "unknown options tau: there are"),
+    ("agents.race ppo --set n_steps=few --out {folder}/race", "ppo refuses its settings: "),
+    (
+        "agents.race ppo --set n_steps=1 --set num_envs=1 --out {folder}/race",
+        "ppo refuses its settings: ",
+    ),
+    (
+        "agents.race ppo --set action_repeat=0 --out {folder}/race",
+        "action_repeat is 0, must be a whole number from 1 to 1000",
+    ),
+    ("agents.race sac --set gamma=7 --out {folder}/race", "gamma is 7, must be a number from 0"),
+    ("agents.race ppo --set policy_kwargs=5 --out {folder}/race", "is 5, must have names"),
+    ("agents.race sac --set device=cuda --out {folder}/race", "sac refuses its settings: "),
     ("agents.race sac --out {folder}/bent", "already holds a run"),
+    ("agents.reproduce race --learner td3", "unknown learner 'td3': known are ppo, sac"),
     (
         "agents.reproduce elsewhere --policy scripted --picture picture.png",
         "--picture needs race or seeds",
@@ -311,15 +326,33 @@ MISTAKES = [
     ("agents.curves {folder}", "nothing to show"),
     ("agents.curves {folder}/bent", "is not a learning curve"),
     ("agents.demo --minutes 0", "'0' is not a positive number of minutes"),
+    *(
+        (f"experiments.agree --set-ups {name}", f"'{name}' must be an engine and a body")
+        for name in ("mujoco", "/twin", "mujoco/twin/wet", "mujoco/twin/no-torsion/more")
+    ),
     (
         "experiments.conformance --engine pybullet --body light",
         "pybullet with body light is not installed",
     ),
+    ("experiments.deployed --real-time=nan", "'nan' is not a whole number of at least 1"),
+    ("experiments.gentle join", "nothing to join: no results in"),
+    ("experiments.gentle judge", "judge, and it alone, takes policies"),
+    (
+        "experiments.gentle rows --set-up pybullet/twin",
+        "--set-up is 'pybullet/twin': rows run in MuJoCo",
+    ),
+    *(
+        (f"experiments.gentle {words}", "rows and judge alone take --set-up and --untold")
+        for words in ("closures --set-up mujoco/twin", "closures --untold", "join --untold")
+    ),
     ("experiments.study speed --out out", "invalid choice: 'speed' (choose from"),
+    ("tools.blind_search --engine mujoco", "'mujoco': the closures of grasp_closures.csv are"),
+    ("tools.blind_search --engine nonsense --blind", "invalid choice: 'nonsense'"),
     (
         "tools.film_strip HPAC-Grasp-v0 --policy random --at 9 --out strip.png",
         "at any of [9.0] s",
     ),
+    ("tools.generate --hand none.toml", "hand file none.toml: No such file or directory"),
 ]
 
 
@@ -343,8 +376,8 @@ def answering(env, name):
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("mistakes")
-    for name in ("taken", "bent", "policy", "nonsense"):
-        (folder / name).mkdir()
+    for name in ("taken", "bent", "policy", "nonsense", "board/tensorboard"):
+        (folder / name).mkdir(parents=True)
     (folder / "file").write_text("no policy")
     (folder / "cut.hpac").write_bytes(SHIPPED["grasp"].read_bytes()[:1000])
     (folder / "deep.json").write_text("[" * 100_000)

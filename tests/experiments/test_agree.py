@@ -32,22 +32,6 @@ def test_the_command_runs_an_engine_with_other_contacts(capsys):
     assert other["agree"] in (0.0, 1.0)
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "mujoco",
-        "mujoco/",
-        "/twin",
-        "mujoco/twin/wet",
-        "mujoco/twin/no-torsion/more",
-        "mujoco/twin/",
-    ],
-)
-def test_a_set_up_of_another_form_is_refused_by_its_name(name):
-    with pytest.raises(ParameterError, match=f"set-up '{name}' must be an engine and a body"):
-        agreement("scripted", 1, [name])
-
-
 @pytest.mark.pybullet
 def test_torsional_friction_needs_bullets_iterative_solver():
     with pytest.raises(ParameterError, match=r"torsion = 0\.005 m needs Bullet's iterative solver"):

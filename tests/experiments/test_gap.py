@@ -22,7 +22,6 @@ from hpac_gym.model import HPAC, SERVOS, ServoCommand, streamed_servo
 from hpac_gym.output import OutputError
 from hpac_gym.physics.servos import Servos
 from hpac_gym.physics.settings import ServoSettings
-from tests.options import refused
 
 DT = 1 / 120
 PERIOD = 0.05
@@ -143,12 +142,6 @@ def test_a_quick_look_replaces_no_committed_file(experiment, capsys, monkeypatch
         experiment.main(["--help"])
     name = experiment.__name__.removeprefix("experiments.")
     assert re.search(rf"--out .*\(default: runs/.*{name}", capsys.readouterr().out)
-
-
-@pytest.mark.parametrize("seconds", ["0", "-1", "nan"])
-def test_a_stream_of_no_seconds_is_refused(seconds, capsys):
-    said = refused(capsys, lambda: deployed.main([f"--real-time={seconds}"]))
-    assert f"'{seconds}' is not a whole number of at least 1" in said
 
 
 def test_the_board_row_is_latched(monkeypatch):

@@ -10,12 +10,10 @@ from agents.gentle import Hands
 from agents.gentle_rule import LARGEST, RULE
 from experiments import gentle as experiment
 from experiments.gentle import Feeling, episodes_of, fitted, judge, summary
-from hpac_gym.command import run
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.model import synergy_from_action
 from hpac_gym.policies import read_policy
 from hpac_gym.tasks.task import open_hand
-from tests.options import refused
 
 
 def moved(force, synergy=0.8, age=40):
@@ -98,30 +96,3 @@ def test_a_policy_is_trained_written_and_judged(tmp_path, monkeypatch):
         gentle.main(words)
     found = judge(name, HELD_OUT_SEED, 4, engine="mujoco", told=False)
     assert found["all"]["episodes"] == 4
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["join"], "nothing to join: no results in"),
-        (["judge"], "judge, and it alone, takes policies"),
-        (["rows", "--episodes", "0"], "'0' is not a whole number of at least 1"),
-        (["rows", "--set-up", "pybullet/twin"], "--set-up is 'pybullet/twin': rows run in MuJoCo"),
-        (
-            ["closures", "--set-up", "mujoco/twin"],
-            "rows and judge alone take --set-up and --untold",
-        ),
-        (["closures", "--untold"], "rows and judge alone take --set-up and --untold"),
-        (["join", "--untold"], "rows and judge alone take --set-up and --untold"),
-        (["join"], "damaged.json' are damaged, or of another experiment"),
-    ],
-)
-def test_what_gives_no_results_changes_none(words, message, tmp_path, capsys, monkeypatch):
-    before = experiment.RESULTS.read_bytes()
-    if "damaged" in message:
-        (tmp_path / "damaged.json").write_text('{"command": ')
-    for name in ("rows", "closures"):
-        monkeypatch.setattr(experiment, name, lambda *_: pytest.fail("it runs episodes"))
-    out = ["--out", str(tmp_path)]
-    assert message in refused(capsys, lambda: run(lambda: experiment.main([*words, *out])))
-    assert experiment.RESULTS.read_bytes() == before

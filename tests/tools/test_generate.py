@@ -4,7 +4,6 @@ import pytest
 
 from hpac_gym.body.geometry import load_geometry
 from hpac_gym.model import FINGERS
-from tests.processes import python
 from tools import generate
 from tools.thumb_search import find_opposition
 
@@ -27,12 +26,6 @@ def test_a_stale_file_is_named_by_check_and_written_without_it(tmp_path, monkeyp
     assert not path.exists()
     assert generate.main([]) == 0
     assert generate.main(["--check"]) == 0
-
-
-def test_a_wrong_hand_is_one_line_and_status_2():
-    done = python("-m", "tools.generate", "--hand", "/no/such/hand.toml")
-    assert done.returncode == 2
-    assert done.stderr == "error: hand file /no/such/hand.toml: No such file or directory\n"
 
 
 @pytest.mark.parametrize(
