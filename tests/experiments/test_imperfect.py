@@ -48,17 +48,22 @@ def course(more: Imperfections) -> np.ndarray:
     return built.course(SERVO, np.zeros(len(SERVO)))
 
 
-def test_two_solvers_that_share_no_code_agree_where_the_laws_are_the_same():
+@pytest.fixture(scope="module")
+def plain():
+    """The course of an index that has friction in its joints alone."""
+    return course(PLAIN)
+
+
+def test_two_solvers_that_share_no_code_agree_where_the_laws_are_the_same(plain):
     """There and back, with friction; the control has the first segment that Eq. (12) assumes."""
     digit = HPAC.digits["index"]
     expected, assumed = (
         follow([digit], [metal], SERVO[:, None])[:, 0]
         for metal in (METAL, replace(METAL, first_segment=2.0))
     )
-    here = course(PLAIN)
-    assert np.degrees(np.abs(here - expected).max()) < 0.03
-    assert np.degrees(np.abs(here - assumed).max()) > 0.3
-    assert np.degrees((here[60] - here[21]).max()) > 0.02  # the way back is another
+    assert np.degrees(np.abs(plain - expected).max()) < 0.03
+    assert np.degrees(np.abs(plain - assumed).max()) > 0.3
+    assert np.degrees((plain[60] - plain[21]).max()) > 0.02  # the way back is another
 
 
 @pytest.mark.parametrize(
@@ -77,10 +82,10 @@ def test_two_solvers_that_share_no_code_agree_where_the_laws_are_the_same():
         ("tendon_friction", 0.03),
     ],
 )
-def test_every_imperfection_moves_the_digit(name, value):
+def test_every_imperfection_moves_the_digit(plain, name, value):
     """By more than a fiftieth of a degree, and by less than five."""
-    off = np.degrees(np.abs(course(replace(PLAIN, **{name: value})) - course(PLAIN)).max())
-    assert 0.02 < off < 5
+    moved = course(replace(PLAIN, **{name: value})) - plain
+    assert 0.02 < np.degrees(np.abs(moved).max()) < 5
 
 
 def test_two_sessions_of_a_hand_differ_and_each_comes_again():
