@@ -85,7 +85,7 @@ def clone(
     import torch
     from torch import nn
 
-    from agents.networks import MEAN_CLIP, actor_of, mean_and_scale, scaled
+    from agents.networks import MEAN_CLIP, actor_of, descend, mean_and_scale, scaled
 
     torch.set_num_threads(1)
     torch.manual_seed(seed)
@@ -99,20 +99,17 @@ def clone(
     optimizer = torch.optim.Adam(network.parameters(), lr=1e-3)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, epochs * (rounds + 1))
     for epoch in progress(range(epochs * (rounds + 1)), "epochs"):
-        if epoch and epoch % epochs == 0:
-            added = more(actor_of(network, mean, scale), epoch // epochs)
-            seen = np.concatenate([seen, added[0]])
-            done = np.concatenate([done, added[1]])
         if epoch % epochs == 0:
+            if epoch:
+                added = more(actor_of(network, mean, scale), epoch // epochs)
+                seen, done = map(np.concatenate, zip((seen, done), added, strict=True))
             inputs = torch.from_numpy(scaled(seen, mean, scale).astype(np.float32))
             wanted = torch.from_numpy(done)
         for rows in torch.randperm(len(inputs)).split(BATCH):
             loss = nn.functional.l1_loss(
                 torch.tanh(network(inputs[rows]).clamp(-MEAN_CLIP, MEAN_CLIP)), wanted[rows]
             )
-            optimizer.zero_grad()
-            loss.backward()
-            optimizer.step()
+            descend(optimizer, loss)
         schedule.step()
     actor = actor_of(network, mean, scale)
     errors = [

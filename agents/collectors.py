@@ -49,8 +49,7 @@ def connected() -> Any:
     Raises:
         RunError: Ray is not installed, or the cluster does not answer.
     """
-    for name, value in QUIET.items():
-        os.environ.setdefault(name, value)
+    os.environ.update(QUIET | os.environ)  # what is set already stays
     try:
         import ray
     except ImportError:

@@ -21,7 +21,14 @@ from torch import nn
 
 from agents import POLICY, RunError, target_of
 from agents.gentle_rule import CLOSING, MOVES, PER_RADIAN, RULE, STEPS, UNTOLD
-from agents.networks import MEAN_CLIP, OBSERVATION_CLIP, actor_of, mean_and_scale, scaled
+from agents.networks import (
+    MEAN_CLIP,
+    OBSERVATION_CLIP,
+    actor_of,
+    descend,
+    mean_and_scale,
+    scaled,
+)
 from hpac_gym.command import add_counts, command_parser, run
 from hpac_gym.envs.sb3 import HandVecEnv
 from hpac_gym.evaluation.environment import versions
@@ -188,9 +195,8 @@ def imitate(model: PPO, env: Hands, rounds: int, seed: int) -> None:
             wanted.append(env.taught())
             raw = np.arctanh(np.clip(wanted[-1], -0.999, 0.999))
             if number:
-                with torch.no_grad():
-                    rows = torch.from_numpy(scaled(shown[-1], env.mean, env.scale)).float()
-                    raw = policy.mean(rows).clamp(-MEAN_CLIP, MEAN_CLIP).numpy()
+                rows = torch.from_numpy(scaled(shown[-1], env.mean, env.scale)).float()
+                raw = policy.mean(rows).clamp(-MEAN_CLIP, MEAN_CLIP).detach().numpy()
             *_, done, infos = env.step(raw)
             ended += int(done.sum())
             succeeded += sum(bool(infos[world]["is_success"]) for world in np.flatnonzero(done))
@@ -203,9 +209,7 @@ def imitate(model: PPO, env: Hands, rounds: int, seed: int) -> None:
         for part in rng.integers(len(data), size=(count, 1024)):
             decided = torch.tanh(policy.mean(data[part]).clamp(-MEAN_CLIP, MEAN_CLIP))
             loss = (decided - told[part]).square().mean()
-            optimizer.zero_grad()
-            loss.backward()
-            optimizer.step()
+            descend(optimizer, loss)
         print(f"round {number}: {succeeded} of {ended} held, loss {loss.item():.4f}", flush=True)
 
 

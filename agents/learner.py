@@ -21,7 +21,7 @@ import torch
 from torch.nn import functional
 
 from agents import RunError
-from agents.networks import Networks, scaled
+from agents.networks import Networks, descend, scaled
 from agents.recipes import Recipe
 from agents.trials import Trials
 from hpac_gym.model import action_from_synergy
@@ -63,34 +63,25 @@ class Learner:
         torch.manual_seed(seed)
         self._rng = np.random.default_rng(seed)
 
+    @torch.no_grad()
     def decide(self, seen: np.ndarray) -> np.ndarray:
         """Decisions to try, shape (n, m), for first observations, shape (n, observed); random
         before the first update.
         """
         if self.updates:
-            with torch.no_grad():
-                return (
-                    self.networks.actor(self.networks.scaled(seen)[:, : self._deployed])[0]
-                    .numpy()
-                    .astype(float)
-                )
+            shown = self.networks.scaled(seen)[:, : self._deployed]
+            return self.networks.actor(shown)[0].numpy().astype(float)
         if not self._recipe.script_std:
             return self._rng.uniform(-1.0, 1.0, (len(seen), self.trials.decisions.shape[1]))
         widths = self._recipe.script_std * 10.0 ** self._rng.uniform(-1, 0, (len(seen), 1))
         drawn = scripted_decisions(self._recipe.closures, seen)
         return np.clip(drawn + widths * self._rng.standard_normal(drawn.shape), -MOST, MOST)
 
+    @torch.no_grad()
     def predicted(self, seen: np.ndarray, decisions: np.ndarray) -> np.ndarray:
         """Success probability of trials predicted by the critics, shape (n,)."""
-        with torch.no_grad():
-            return (
-                self.networks.success(
-                    self.networks.scaled(seen), torch.from_numpy(decisions.astype(np.float32))
-                )
-                .mean(0)
-                .exp()
-                .numpy()
-            )
+        decided = torch.from_numpy(decisions.astype(np.float32))
+        return self.networks.success(self.networks.scaled(seen), decided).mean(0).exp().numpy()
 
     def add(self, *trials: np.ndarray) -> None:
         """Add trials, as arguments of `Trials.add`."""
@@ -177,9 +168,10 @@ class Learner:
                 trials.end_state[rows], self.networks.mean_end_state, self.networks.scale_end_state
             )
         )
+        optimizers = self.networks.optimizers
         survival_loss = losses.sum(-1).mean()
         auxiliary_loss = functional.mse_loss(end_state, truth)
-        self.networks.descend("critics", survival_loss + recipe.auxiliary_coef * auxiliary_loss)
+        descend(optimizers["critics"], survival_loss + recipe.auxiliary_coef * auxiliary_loss)
         self._note(survival_loss=survival_loss.item(), auxiliary_loss=auxiliary_loss.item())
 
         if recipe.script_std:
@@ -193,7 +185,7 @@ class Learner:
             decisions = torch.from_numpy(trials.decisions[rows])
             log_density = self.networks.actor(seen[:, : self._deployed], decisions)[1].mean()
             self.entropy = -log_density.item() / decisions.shape[1]
-            self.networks.descend("actor", -log_density)
+            descend(optimizers["actor"], -log_density)
             self._note(actor_loss=-log_density.item())
             return
 
@@ -205,14 +197,14 @@ class Learner:
         alpha = self.networks.log_alpha.exp()
         self.entropy = -log_density.mean().item() / decisions.shape[1]
         actor_loss = (alpha.detach() * log_density - success).mean()
-        self.networks.descend("actor", actor_loss)
+        descend(optimizers["actor"], actor_loss)
         self.networks.critics.requires_grad_(True)
         self._note(
             actor_loss=actor_loss.item(),
             alpha=alpha.item(),
             target_entropy=target_entropy / decisions.shape[1],
         )
-        self.networks.descend("alpha", alpha * (-log_density.mean().detach() - target_entropy))
+        descend(optimizers["alpha"], alpha * (-log_density.mean().detach() - target_entropy))
 
     def arrays(self) -> dict[str, np.ndarray]:
         """State for a checkpoint by name: that of the networks, and trials if no other run has

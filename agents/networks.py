@@ -132,13 +132,6 @@ class Networks:
         odds = self.critics(torch.cat([scaled, decisions], -1))[..., : self._phases]
         return functional.logsigmoid(odds).sum(-1)
 
-    def descend(self, name: str, loss: Tensor) -> None:
-        """One step of an optimiser down the gradient of a loss."""
-        optimizer = self.optimizers[name]
-        optimizer.zero_grad()
-        loss.backward()
-        optimizer.step()
-
     def arrays(self) -> dict[str, np.ndarray]:
         """Scaling, networks, optimisers and alpha by name."""
         tensors = {"log_alpha": self.log_alpha.detach()}
@@ -184,12 +177,19 @@ class Networks:
         )
 
 
+def descend(optimizer: torch.optim.Optimizer, loss: Tensor) -> None:
+    """One step of an optimiser down the gradient of a loss."""
+    optimizer.zero_grad()
+    loss.backward()
+    optimizer.step()
+
+
 def actor_of(parts: Iterable[nn.Module], mean: np.ndarray, scale: np.ndarray) -> Actor:
     """The linear layers among `parts` as plain arrays, with the scaling of their observations."""
-    linear = [part for part in parts if isinstance(part, nn.Linear)]
     layers = tuple(
-        (layer.weight.detach().numpy().copy(), layer.bias.detach().numpy().copy())
-        for layer in linear
+        (part.weight.detach().numpy().copy(), part.bias.detach().numpy().copy())
+        for part in parts
+        if isinstance(part, nn.Linear)
     )
     return Actor(mean.astype(float), scale.astype(float), OBSERVATION_CLIP, layers, MEAN_CLIP)
 

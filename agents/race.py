@@ -54,7 +54,6 @@ class Decisions(VecEnvWrapper):
         self._bound = bound
 
     def reset(self) -> np.ndarray:
-        """Start an episode in every world."""
         return self.venv.reset()
 
     def step_async(self, actions: np.ndarray) -> None:

@@ -204,7 +204,6 @@ class Worlds(Source):
         return np.hstack([self.episodes.observe(), self._told])
 
     def close(self) -> None:
-        """Free the physics; may be called repeatedly."""
         self._thread.shutdown()
         self.episodes.close()
 

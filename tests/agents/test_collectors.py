@@ -5,50 +5,30 @@ counts each trial once.
 import json
 import re
 import sys
-from contextlib import suppress
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from agents import RunError, collectors, runs as runs_of
-from agents.learner import Learner
 from agents.recipes import RECIPES, with_settings
 from hpac_gym.evaluation.environment import versions
-from tests.agents.small import train_here, words_of
+from tests.agents.small import SETTINGS, fitted, train_here, words_of
 
-SETTINGS = {
-    "num_envs": "2",
-    "hidden": "16",
-    "batch_size": "16",
-    "random_episodes": "4",
-    "checkpoint_every": "30",
-}
-SMALL = words_of(SETTINGS)
+FEW = SETTINGS | {"num_envs": "2", "random_episodes": "4", "checkpoint_every": "30"}
+SMALL = words_of(FEW)
 
 
 def test_a_collector_decides_with_what_the_learner_knows():
-    recipe = with_settings(RECIPES["grasp"], {"episodes": "40", **SETTINGS})
+    recipe = with_settings(RECIPES["grasp"], {"episodes": "40", **FEW})
     collector = collectors.Collector(recipe, 5, versions())
     copy = collector._learner
-    learner = Learner(recipe, len(copy.networks.mean), 44, 4)
-    rng = np.random.default_rng(0)
-    hidden = len(copy.networks.mean) - 44
-    seen, end_state = (
-        rng.standard_normal((30, width)).astype(np.float32)
-        for width in (len(copy.networks.mean), hidden)
-    )
-    learner.trials.add(seen, rng.uniform(-1, 1, (30, 8)), rng.integers(0, 5, 30), end_state)
-    learner.learn(0.5)
+    learner = fitted(recipe, len(copy.networks.mean))
+    probe = np.zeros((30, len(copy.networks.mean)), np.float32), np.zeros((30, 8))
     known = collectors.knowledge(learner)
     assert {type(value) for name, value in known.items() if name != "updates"} == {np.ndarray}
-    assert not np.array_equal(
-        copy.predicted(seen, np.zeros((30, 8))), learner.predicted(seen, np.zeros((30, 8)))
-    )
+    assert not np.array_equal(copy.predicted(*probe), learner.predicted(*probe))
     trials, steps, seconds = collector.collect(known)
-    assert np.array_equal(
-        copy.predicted(seen, np.zeros((30, 8))), learner.predicted(seen, np.zeros((30, 8)))
-    )
+    assert np.array_equal(copy.predicted(*probe), learner.predicted(*probe))
     assert copy.updates == learner.updates
     assert len(trials[0]) >= recipe.num_envs
     assert steps >= 20 * len(trials[0])
@@ -70,16 +50,6 @@ def test_without_ray_one_line_names_the_extra(monkeypatch):
         match=r"needs Ray, which is not installed: pip install '\.\[nodes\]' in a checkout",
     ):
         collectors.Collectors(RECIPES["grasp"], 2)
-
-
-def processes_of(group: int) -> list[Path]:
-    """The running processes of a process group."""
-    running = []
-    for path in Path("/proc").glob("[0-9]*/stat"):
-        with suppress(OSError):
-            state, _, its_group = path.read_text().rpartition(")")[2].split()[:3]
-            running += [path] * (int(its_group) == group and state != "Z")
-    return running
 
 
 @pytest.fixture(scope="module")

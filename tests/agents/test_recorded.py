@@ -26,32 +26,23 @@ def trials(folder) -> dict[str, np.ndarray]:
         return {name: file[name] for name in COLUMNS}
 
 
+def learn_together(folder, out, *words) -> None:
+    """Learn from the trials of the runs in a folder."""
+    train_here(*TOGETHER, "--trials-of", *(folder / name for name in SET_UPS), "--out", out, *words)
+
+
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory):
     """A run on the twin, one on both bodies, and one that learned from their trials."""
     folder = tmp_path_factory.mktemp("runs")
     for seed, (name, set_ups) in enumerate(SET_UPS.items()):
         train_here(
-            "grasp",
-            "--episodes",
-            20,
-            "--seed",
-            seed,
-            "--set-ups",
-            set_ups,
-            *SMALL,
-            "--out",
-            folder / name,
+            *("grasp", "--episodes", 20, "--seed", seed, "--set-ups", set_ups, *SMALL),
+            *("--out", folder / name),
         )
     with pytest.MonkeyPatch.context() as monkeypatch:
         monkeypatch.setattr(Worlds, "step", None)  # no physics
-        train_here(
-            *TOGETHER,
-            "--trials-of",
-            *(folder / name for name in SET_UPS),
-            "--out",
-            folder / "together",
-        )
+        learn_together(folder, folder / "together")
     return folder
 
 
@@ -66,13 +57,9 @@ def test_it_learns_from_every_trial_once_without_physics(runs):
     assert about["together"]["settings"]["trials_of"] == [str(runs / name) for name in SET_UPS]
     together = trials(runs / "together")
     parts = [trials(runs / name) for name in SET_UPS]
-    for name, sensed in (
-        ("seen", slice(0, -2)),
-        ("decisions", slice(None)),
-        ("end_state", slice(0, -2)),
-    ):
-        apart = [parts[0][name], parts[1][name][:, sensed]]
-        assert sorted(together[name][:, sensed].tolist()) == sorted(np.concatenate(apart).tolist())
+    for name, sensed in {"seen": -2, "decisions": None, "end_state": -2}.items():
+        apart = [parts[0][name], parts[1][name][:, :sensed]]
+        assert sorted(together[name][:, :sensed].tolist()) == sorted(np.concatenate(apart).tolist())
     assert not np.array_equal(
         together["decisions"][: len(parts[0]["decisions"])], parts[0]["decisions"]
     ), "in random order"
@@ -81,8 +68,8 @@ def test_it_learns_from_every_trial_once_without_physics(runs):
 def test_it_takes_no_more_steps_than_it_may_though_its_trials_come_in_chunks(runs, tmp_path):
     of = [str(runs / name) for name in SET_UPS]
     steps = Recorded(replace(runs_of.recipe_in(runs / "together"), trials_of=of)).steps
-    limit = round(2.5 * steps)
-    train_here(*TOGETHER, "--trials-of", *of, "--env-steps", limit, "--out", tmp_path)
+
+    learn_together(runs, tmp_path, "--env-steps", round(2.5 * steps))
     assert read_policy(tmp_path / "policy.hpac").about["env_steps"] == 2 * steps
 
 
@@ -101,16 +88,13 @@ def test_a_killed_and_resumed_run_ends_with_the_same_policy_though_its_checkpoin
     runs, tmp_path
 ):
     with killed_at_the_second(train, "save_checkpoint"):
-        train_here(*TOGETHER, "--trials-of", *(runs / name for name in SET_UPS), "--out", tmp_path)
+        learn_together(runs, tmp_path)
     assert 0 < runs_of.saved_trials(tmp_path) < runs_of.saved_trials(runs / "together")
     with np.load(runs_of.latest_checkpoint(tmp_path) / "arrays.npz") as file:
         assert not set(COLUMNS) & set(file)
     train_here("--resume", "--out", tmp_path)
-    hashes = {
-        read_policy(folder / "policy.hpac").about["sha256"]
-        for folder in (tmp_path, runs / "together")
-    }
-    assert len(hashes) == 1
+    ends = (read_policy(folder / "policy.hpac") for folder in (tmp_path, runs / "together"))
+    assert len({policy.about["sha256"] for policy in ends}) == 1
 
 
 @pytest.mark.parametrize("change", ["grown", "replaced"])
@@ -119,7 +103,7 @@ def test_a_resumed_run_learns_from_no_other_trials_than_it_began_with(runs, tmp_
         shutil.copytree(runs / name, tmp_path / name)
     out = tmp_path / "run"
     with killed_at_the_second(train, "save_checkpoint"):
-        train_here(*TOGETHER, "--trials-of", *(tmp_path / name for name in SET_UPS), "--out", out)
+        learn_together(tmp_path, out)
     path = runs_of.latest_checkpoint(tmp_path / "both") / "arrays.npz"
     with np.load(path) as file:
         arrays = dict(file)

@@ -3,7 +3,6 @@ disk.
 """
 
 import copy
-import csv
 import errno
 import json
 import os
@@ -16,37 +15,23 @@ import numpy as np
 import pytest
 
 from agents import RecipeError, RunError, runs as runs_of, train, trials
-from agents.curves import report
+from agents.curves import read_curve, report
 from agents.learner import Learner
 from agents.recipes import RECIPES, with_settings
 from agents.trials import training_task, worlds_of
 from hpac_gym.envs.options import checked_options
 from hpac_gym.evaluation.evaluate import evaluate
 from hpac_gym.policies import read_policy
-from tests.agents.small import SETTINGS, SMALL, train_here
+from tests.agents.small import SETTINGS, SMALL, fitted, train_here
 from tests.processes import killed_at_the_second, started, wait_for
 
 
-def curve(folder: Path) -> list[int]:
-    with (folder / "progress.csv").open() as file:
-        return [int(row["episodes"]) for row in csv.DictReader(file)]
+def curve(folder: Path) -> list[float]:
+    return read_curve(folder / "progress.csv")["episodes"].tolist()
 
 
-RUNS = {
-    "grasp": ["grasp", "--episodes", 24, "--seed", 3, *SMALL, "--random-episodes", 4],
-    "grasp-type": [
-        "grasp-type",
-        "--episodes",
-        24,
-        "--seed",
-        3,
-        *SMALL,
-        "--random-episodes",
-        4,
-        "--script-std",
-        0.01,
-    ],
-}
+SHORT = ["--episodes", 24, "--seed", 3, *SMALL, "--random-episodes", 4]
+RUNS = {"grasp": ["grasp", *SHORT], "grasp-type": ["grasp-type", *SHORT, "--script-std", 0.01]}
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +58,7 @@ def test_a_run_leaves_its_policy_curve_settings_and_checkpoint(trained):
     }
     assert curve(trained / "grasp")[-1] == about["episodes"]
     assert len(list((trained / "grasp").glob("checkpoint-*"))) == 1
-    assert (trained / "grasp" / "learning_curve.png").stat().st_size
+    assert (trained / "grasp" / "learning_curve.png").exists()
 
 
 @pytest.mark.parametrize(
@@ -105,21 +90,24 @@ def test_a_killed_and_resumed_training_ends_with_the_policy_of_an_uninterrupted_
         file.write("20,1.0,0.5,20,0.1\n2")  # after the checkpoint
     train_here("--out", tmp_path, "--resume")
     assert curve(tmp_path) == curve(trained / recipe)
-    hashes = {
-        read_policy(folder / "policy.hpac").about["sha256"]
-        for folder in (tmp_path, trained / recipe)
-    }
-    assert len(hashes) == 1
+    ends = (read_policy(folder / "policy.hpac") for folder in (tmp_path, trained / recipe))
+    assert len({policy.about["sha256"] for policy in ends}) == 1
 
 
 def test_a_killed_training_goes_on_from_its_last_checkpoint_and_an_interrupted_one_saves_itself(
     tmp_path,
 ):
-    new = ["grasp", "--episodes", "100000", *SMALL]
-    ended_at_a_checkpoint(tmp_path, signal.SIGKILL, *new)
+    with killed_at_the_second(train, "save_checkpoint"):
+        train_here("grasp", "--out", tmp_path, "--episodes", 100_000, *SMALL)
     killed = state_of(tmp_path)
-    status, said = ended_at_a_checkpoint(tmp_path, signal.SIGINT, "--resume")
-    assert (status, said[-1].split(" after")[0]) == (130, "interrupted")
+    first = runs_of.latest_checkpoint(tmp_path)
+    with started("-m", "agents.train", "--out", str(tmp_path), "--resume") as process:
+        wait_for(
+            lambda: runs_of.latest_checkpoint(tmp_path) != first or process.poll() is not None, 600
+        )
+        process.send_signal(signal.SIGINT)
+        said = process.communicate()[1].splitlines()
+    assert (process.returncode, said[-1].split(" after")[0]) == (130, "interrupted")
     interrupted = state_of(tmp_path)
     aim = interrupted["episodes"] + 12
     train_here("--out", tmp_path, "--resume", "--episodes", aim)
@@ -132,18 +120,6 @@ def test_a_killed_training_goes_on_from_its_last_checkpoint_and_an_interrupted_o
         assert before["env_steps"] < after["env_steps"]
     steps = curve(tmp_path)
     assert steps == sorted(set(steps)), "the rows after the checkpoint were taken back"
-
-
-def ended_at_a_checkpoint(folder: Path, number: signal.Signals, *words) -> tuple[int, list[str]]:
-    """Exit status and lines of a training that gets a signal after its next checkpoint."""
-    kept = runs_of.latest_checkpoint(folder)
-    with started("-m", "agents.train", "--out", str(folder), *words) as process:
-        wait_for(
-            lambda: runs_of.latest_checkpoint(folder) != kept or process.poll() is not None, 600
-        )
-        process.send_signal(number)
-        said = process.communicate()[1]
-    return process.returncode, said.splitlines()
 
 
 def state_of(folder: Path) -> dict:
@@ -201,14 +177,7 @@ def recipe():
 
 @pytest.fixture(scope="module")
 def learner(recipe):
-    """A learner that has been fitted to trials of no meaning."""
-    rng = np.random.default_rng(0)
-    made = Learner(recipe, observed=60, deployed=44, phases=4)
-    seen = rng.standard_normal((30, 60))
-    end_state = rng.standard_normal((30, 16))
-    made.trials.add(seen, rng.uniform(-1, 1, (30, 8)), rng.integers(0, 5, 30), end_state)
-    made.learn(0.5)
-    return made
+    return fitted(recipe, 60)
 
 
 def test_a_run_is_not_resumed_with_fewer_trials_than_it_has(trained, tmp_path):
@@ -231,9 +200,10 @@ def test_what_is_beside_a_run_does_not_stop_it(trained, tmp_path, monkeypatch):
     (folder / "results.json").write_text(json.dumps(results | {"policies": {"learned": numbers}}))
     drawn = []
     monkeypatch.setattr("matplotlib.axes.Axes.axhline", lambda *_, **how: drawn.append(how))
-    train_here("--resume", "--out", folder, "--episodes", 26)
+    train_here("--resume", "--out", folder, "--episodes", 26, drawn=True)
     assert curve(folder)[-1] == 26
     assert drawn == []
+    assert (folder / "learning_curve.png").stat().st_size
     assert [path.name for path in report(folder)] == ["results.md", "learning_curve.png"]
     assert drawn[0]["label"] == "learned, 10 held-out episodes: 50%"
 
@@ -526,11 +496,3 @@ def test_a_folder_that_another_training_writes_to_is_refused_and_kept(trained, t
     ):
         train.main([*begin, *words, "--out", str(folder)])
     assert curve(folder) == curve(trained / "grasp")
-
-
-def test_what_others_left_in_a_folder_is_not_removed_unasked(tmp_path):
-    board = tmp_path / "tensorboard" / "PPO_1"
-    board.mkdir(parents=True)
-    with pytest.raises(RunError, match="already holds a run, 'tensorboard': --resume"):
-        train.main(["grasp", "--out", str(tmp_path)])
-    assert board.exists()

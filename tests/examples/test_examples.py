@@ -42,22 +42,35 @@ def test_an_example_is_one_short_file_on_the_public_api(name):
 
 
 SHORT = ["--episodes=16", "--num-envs=8", "--batch-size=8"]  # all of its episodes are random
+ONE_AFTER_THE_OTHER = """
+import json, runpy, sys
+for line in json.loads(sys.argv[1]):
+    sys.argv = line
+    runpy.run_path(line[0], run_name="__main__")
+"""
+"""In one process, which loads PyTorch once."""
 
 
-@pytest.mark.parametrize(("name", "words"), [*WORDS.items(), ("one_step_sac", SHORT)])
-def test_an_example_trains_a_policy_wherever_it_is_copied(name, words, tmp_path):
-    shutil.copy(EXAMPLES / f"{name}.py", tmp_path)
+def test_an_example_trains_a_policy_wherever_it_is_copied(tmp_path):
+    for name in WORDS:
+        shutil.copy(EXAMPLES / f"{name}.py", tmp_path)
     only_the_package = tmp_path / "package"
     only_the_package.mkdir()
     (only_the_package / "hpac_gym").symlink_to(Path(hpac_gym.__file__).parent)
-    line = (f"{name}.py", "--out", "run", *words)
-    done = python(*line, folder=tmp_path, PYTHONPATH=str(only_the_package))
+    lines = [[f"{name}.py", "--out", name, *words] for name, words in WORDS.items()]
+    lines.append(["one_step_sac.py", "--out", "short", *SHORT])
+    done = python(
+        *("-c", ONE_AFTER_THE_OTHER, json.dumps(lines)),
+        folder=tmp_path,
+        PYTHONPATH=str(only_the_package),
+    )
     assert done.returncode == 0, done.stderr
-    written = tmp_path / "run" / WRITES[name]
-    assert done.stdout.splitlines()[-1] == str(written.relative_to(tmp_path))
     with gymnasium.make("hpac_gym:HPAC-Grasp-v0", engine="mujoco") as env:
-        action, _ = load_policy(str(written), env).predict(env.reset(seed=0)[0])
-        assert action in env.action_space
+        for name, _, out, *_ in lines:
+            written = f"{out}/{WRITES[name.removesuffix('.py')]}"
+            assert written in done.stdout.splitlines()
+            policy = load_policy(str(tmp_path / written), env)
+            assert policy.predict(env.reset(seed=0)[0])[0] in env.action_space
 
 
 def test_the_notebook_runs_and_holds_no_outputs(tmp_path):
