@@ -191,7 +191,6 @@ def sheet(rows: Sequence[Row]) -> Image.Image:
 
 
 def main(argv: Sequence[str] | None = None) -> None:
-    """Draw episodes, and write the picture."""
     parser = command_parser("tools.film_strip", __doc__)
     parser.add_argument("id", help="id of the environment, such as HPAC-Grasp-v0")
     parser.add_argument("--policy", default="scripted", help="scripted, random, or a policy file")

@@ -110,8 +110,7 @@ def main(argv: list[str] | None = None) -> None:
     parser.add_argument(
         "names", nargs="*", help="names or name prefixes of the objects to update (default: all)"
     )
-    given = parser.parse_args(argv)
-    names = tuple(given.names) or ("",)
+    names = tuple(parser.parse_args(argv).names) or ("",)
     objects = list(
         {
             name: entry for models in split_models().values() for name, entry in models.items()

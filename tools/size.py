@@ -68,7 +68,6 @@ def price(names: Iterable[str]) -> int:
 
 
 def main() -> None:
-    """Print the tables."""
     rows = []
     lengths = {}
     classes = {}

@@ -57,7 +57,6 @@ class _Queue(GraspByType):
         self.waiting = deque(types)
 
     def draw(self, rng: np.random.Generator) -> GraspType:
-        """The next type of the list."""
         return self.waiting.popleft() if len(self.waiting) > 1 else self.waiting[0]
 
 

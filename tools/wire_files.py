@@ -74,7 +74,11 @@ def protocol_header(hand: Hand = HPAC) -> str:
         " * holds_unpowered; trims, directions and the last are those of one copy of the hand. */",
         f"#define HPAC_SERVO_TABLE(holds_unpowered, {_each('trim')}, {_each('direction')}) \\",
         "    { \\",
-        *_servo_rows(hand),
+        *(
+            f"        {{ {s.min_urad}, {s.max_urad}, {s.rest_urad}, {s.centre_urad}, {s.rate_urad_s}, {s.ns_per_rad}, "
+            f"{s.centre_ns}, trim{i}, direction{i}, holds_unpowered }}, /* {s.name} */ \\"
+            for i, s in enumerate(servo_limits(hand))
+        ),
         "    }",
         "",
         "#endif",
@@ -125,14 +129,6 @@ def _constant_lines(prefix: str, constants: dict[str, int]) -> list[str]:
 
 def _each(name: str) -> str:
     return ", ".join(f"{name}{i}" for i in range(len(SERVOS)))
-
-
-def _servo_rows(hand: Hand) -> list[str]:
-    return [
-        f"        {{ {s.min_urad}, {s.max_urad}, {s.rest_urad}, {s.centre_urad}, {s.rate_urad_s}, {s.ns_per_rad}, "
-        f"{s.centre_ns}, trim{i}, direction{i}, holds_unpowered }}, /* {s.name} */ \\"
-        for i, s in enumerate(servo_limits(hand))
-    ]
 
 
 def wire_tables(hand: Hand, rows: Vectors) -> str:
