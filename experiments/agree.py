@@ -18,7 +18,9 @@ import numpy as np
 
 from hpac_gym.body.urdf import WRIST_EFFORT
 from hpac_gym.command import command_parser, run, whole_number
+from hpac_gym.envs import Grasp, HandEnv
 from hpac_gym.errors import ParameterError
+from hpac_gym.evaluation.episodes import run_episodes, single
 from hpac_gym.evaluation.evaluate import add_seeds_and_workers
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import paired_difference, success_counts
@@ -26,7 +28,8 @@ from hpac_gym.evaluation.workers import shared
 from hpac_gym.output import markdown
 from hpac_gym.physics.mjcf import TORSION
 from hpac_gym.physics.settings import WorldSettings
-from hpac_gym.physics.simulation import SET_UPS
+from hpac_gym.physics.simulation import SET_UPS, make_engine
+from hpac_gym.policies.loading import load_policy
 from hpac_gym.registration import GRASP
 
 FLOOR = (1e-6, 1e-3)
@@ -78,10 +81,6 @@ def run_trials(
     """Episodes of one policy in one set-up, in an environment of their own, with the object displaced
     along the palm's normal [m].
     """
-    from hpac_gym.envs import Grasp, HandEnv
-    from hpac_gym.evaluation.episodes import run_episodes, single
-    from hpac_gym.physics.simulation import make_engine
-    from hpac_gym.policies.loading import load_policy
 
     class Moved(Grasp):
         """The task of `GRASP`, with its objects displaced."""
@@ -204,15 +203,15 @@ def table(result: dict[str, Any]) -> str:
     for row in result["set_ups"]:
         rate = row["success"]
         low, high = rate["interval_95"]
-        cells = [row["set_up"], f"{rate['success_rate']:.1%}", f"{low:.1%} … {high:.1%}"]
-        if row is first:
-            cells += ["–", "–", "–"]
-        else:
-            cells += [*_difference(row), f"{row['agree']:.1%}"]
+        compared = ["–", "–", "–"]
+        if row is not first:
+            compared = [*_difference(row), f"{row['agree']:.1%}"]
             parts = row["difference_by_shape"].values()
             told = ["{} ({}) of {}".format(*_difference(part), part["episodes"]) for part in parts]
             by_shape.append([row["set_up"], *told])
-        rows.append([*cells, *(f"{found['agree']:.1%}" for found in row["floor"].values())])
+        success = (f"{rate['success_rate']:.1%}", f"{low:.1%} … {high:.1%}")
+        floor = (f"{found['agree']:.1%}" for found in row["floor"].values())
+        rows.append([row["set_up"], *success, *compared, *floor])
     shapes = ["difference by object", *first["by_shape"]]
     return f"{markdown(head, rows)}\n\n{markdown(shapes, by_shape)}"
 
@@ -223,7 +222,6 @@ def _difference(entry: dict[str, Any]) -> tuple[str, str]:
 
 
 def main(argv: list[str] | None = None) -> None:
-    """Run the command."""
     parser = command_parser("experiments.agree", __doc__)
     parser.add_argument("--policy", default="scripted", help="scripted, random, or a policy file")
     parser.add_argument(

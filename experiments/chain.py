@@ -4,7 +4,7 @@ experiments.chain``.
 Every hand is swept once in simulation and calibrated by `hpac calibrate`'s own functions. Then the
 scripted closure runs the same episodes with each model. The truth is simulated: slack counts as a
 zero of the servo, the geometry of all hands is the nominal one, and camera and friction are those of
-`experiments.reference`."""
+`experiments.sweep`."""
 
 import sys
 from collections.abc import Mapping, Sequence
@@ -219,17 +219,15 @@ def main(argv: list[str] | None = None) -> None:
     if arguments.draw:
         draw(read_results(arguments.out, "cells")["cells"], arguments.draw)
         return
-    wanted = [(kind, seed) for kind in POPULATIONS for seed in range(arguments.hands)]
-    pairs = list(shared(_calibrated, wanted, arguments.workers, "calibrating"))
-    hands = [(*one, *pair) for one, pair in zip(wanted, pairs, strict=True) if pair]
-    refused = [
-        f"{kind} {seed}" for (kind, seed), pair in zip(wanted, pairs, strict=True) if not pair
-    ]
-    jobs = [(engine, *hand, grasp) for engine in ENGINES for hand in hands for grasp in TYPES]
+    wanted = list(product(POPULATIONS, range(arguments.hands)))
+    made = shared(_calibrated, wanted, arguments.workers, "calibrating")
+    pairs = dict(zip(wanted, made, strict=True))
+    hands = [(*one, *pair) for one, pair in pairs.items() if pair]
+    refused = [f"{kind} {seed}" for (kind, seed), pair in pairs.items() if not pair]
+    jobs = [(engine, *hand, grasp) for engine, hand, grasp in product(ENGINES, hands, TYPES)]
     rows = [row for found in shared(trials, jobs, arguments.workers, "grasping") for row in found]
     cells = summary(rows)
-    words = f"chain --hands {arguments.hands}"
-    write_results(arguments.out, words, refused=refused, cells=cells)
+    write_results(arguments.out, f"chain --hands {arguments.hands}", refused=refused, cells=cells)
     for engine in ENGINES:
         print(f"{engine}\n\n{cell_table(cells, engine)}\n")
         for grasp in TYPES:

@@ -170,8 +170,9 @@ def opposition_gap(
     make: Factory, settings: HandSettings, world: WorldSettings, finger: str
 ) -> float:
     """Distance between thumb pad and finger pad in the simulated opposition posture [m]."""
-    synergy = np.array(HPAC_GEOMETRY.opposition[finger])
-    setup = SceneSetup(None, synergy=synergy, hand_settings=settings)
+    setup = SceneSetup(
+        None, synergy=np.array(HPAC_GEOMETRY.opposition[finger]), hand_settings=settings
+    )
     with _hands(make, 1, setup, replace(world, gravity=0.0)) as hands:
         joints = hands.state().joint_pos[0]
     pads = []

@@ -66,7 +66,6 @@ class Eye(Source):
             self._turn, _ = Rotation.align_vectors(axes[shown], true[shown])
 
     def latest(self) -> tuple[Pose, float]:
-        """The object as it is seen."""
         pose, age = self._world.latest()
         turn = self._turn * Rotation.from_quat(pose.quaternion)
         return Pose(pose.position + self._off, tuple(turn.as_quat().tolist())), age

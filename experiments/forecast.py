@@ -63,8 +63,7 @@ def calibrated(seed: int) -> Path:
     path = FILES / f"{seed}.toml"
     if not path.exists():
         identified = identify(swept(slack_hand(seed), seed), hold_out=True, draws=50)
-        draws = draws_text(identified.hand, identified)
-        write_text(report_folder(path) / "draws.json", draws)
+        write_text(report_folder(path) / "draws.json", draws_text(identified.hand, identified))
         write_text(path, hand_to_toml(named(identified, HPAC, f"the sweep of hand {seed}")))
     return path
 

@@ -93,7 +93,6 @@ class Latched:
         return getattr(self._simulation, name)
 
     def reset(self, worlds: Sequence[int], setups: Sequence[Any]) -> None:
-        """As of the simulation."""
         self._simulation.reset(worlds, setups)
         self._to[worlds] = self.servos.commanded[worlds]
         self._steps = 0

@@ -168,8 +168,8 @@ def closure_outcomes(closures: Array, episodes: int, seed: int) -> tuple[Array, 
         limit[episode] = setup.crush_limit
         over = np.zeros(count, bool)
         for step in range(STEPS):
-            actions = kind.actions(closures, np.full(count, step))
-            *_, ended, _, _ = envs.step(actions.astype(np.float32))
+            actions = kind.actions(closures, np.full(count, step)).astype(np.float32)
+            *_, ended, _, _ = envs.step(actions)
             success[episode] |= (envs.episodes.outcome == SUCCESS) & ~over
             over |= ended
             if over.all():

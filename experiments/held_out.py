@@ -39,10 +39,9 @@ def main(argv: list[str] | None = None) -> None:
             print(f"{variant.name}: no file, {error}")
             continue
         write_text(arguments.out / f"{variant.name}.toml", hand_to_toml(hand))
-        errors = file_error_deg(hand, variant)
         print(
-            f"{variant.name}: mean error {errors.max():.3f}° at the worst joint, "
-            f"{file_error_deg(HPAC, variant).max():.1f}° for the nominal hand"
+            f"{variant.name}: mean error {file_error_deg(hand, variant).max():.3f}° at the worst "
+            f"joint, {file_error_deg(HPAC, variant).max():.1f}° for the nominal hand"
         )
 
 

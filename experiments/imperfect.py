@@ -81,8 +81,7 @@ def judge(seed: int, both_ways: bool) -> Judged:
     """
     hand = ImperfectHand.drawn(seed)
     first, second, third = (Session.drawn(seed, number) for number in range(3))
-    record = swept(hand, first, both_ways)
-    again = swept(hand, second, both_ways)
+    record, again = (swept(hand, session, both_ways) for session in (first, second))
     try:
         remarks = judged(record, HPAC) + judged(again, HPAC)
         identified = identify(record, hold_out=True)
@@ -92,12 +91,9 @@ def judge(seed: int, both_ways: bool) -> Judged:
     file = hand_from_toml(hand_to_toml(identified.hand), "the calibrated hand")
     alone = max(error.mean_abs_deg for error in file_errors(identified, file).values())
     told = expected_worst_deg(check_errors(again, file, HPAC))
-    true = true_errors_deg(hand, third, file, seed)
-    nominal = true_errors_deg(hand, third, HPAC, seed)
-    worst, median, nominal_median = map(
-        float, (np.nanmax(true), np.nanmedian(true), np.nanmedian(nominal))
-    )
-    return Judged(seed, "", alone, told, worst, median, nominal_median, len(remarks))
+    true, nominal = (true_errors_deg(hand, third, model, seed) for model in (file, HPAC))
+    ends = (np.nanmax(true), np.nanmedian(true), np.nanmedian(nominal))
+    return Judged(seed, "", alone, told, *map(float, ends), len(remarks))
 
 
 def _bound_holds(hands: Sequence[Judged]) -> Interval:
@@ -152,8 +148,8 @@ def main(argv: list[str] | None = None) -> None:
     refused = [
         f"{name} {hand.seed}" for name in judged_by for hand in judged_by[name] if hand.refused
     ]
-    data = {"bound": BOUND, "refused": refused, "rows": rows, "hands": judged_by}
-    write_results(arguments.out, f"imperfect --hands {arguments.hands}", **data)
+    words = f"imperfect --hands {arguments.hands}"
+    write_results(arguments.out, words, bound=BOUND, refused=refused, rows=rows, hands=judged_by)
     print(f"{table('protocol', COLUMNS, rows)}\n\nrefused: {', '.join(refused) or 'none'}")
     print(f"written to {arguments.out}")
 

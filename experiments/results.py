@@ -57,8 +57,11 @@ def compared(held: Sequence[bool], others: Sequence[bool]) -> dict[str, Any]:
     episodes.
     """
     difference, *interval = paired_difference(held, others)
-    counts = success_counts(sum(held), len(held))
-    return {**counts, "difference": difference, "difference_95": interval}
+    return {
+        **success_counts(sum(held), len(held)),
+        "difference": difference,
+        "difference_95": interval,
+    }
 
 
 def percent(bounds: Sequence[float], form: str = ".1f") -> str:

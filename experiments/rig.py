@@ -40,9 +40,11 @@ def settings_of(
     joint_friction: float, dead_band: float, tendon_friction: float = 0.0
 ) -> HandSettings:
     """The rig's hand with friction [N·m, share of the load] and servos with a dead band [rad]."""
-    servo = ServoSettings(dead_band=dead_band)
     return replace(
-        HAND, joint_friction=joint_friction, tendon_friction=tendon_friction, servo=servo
+        HAND,
+        joint_friction=joint_friction,
+        tendon_friction=tendon_friction,
+        servo=ServoSettings(dead_band=dead_band),
     )
 
 

@@ -91,7 +91,6 @@ def quantiles(errors: Array) -> dict[str, float]:
 
 
 def main(argv: list[str] | None = None) -> None:
-    """Render, measure, write the figures."""
     parser = command_parser("experiments.watched", __doc__)
     add_counts(
         parser,
