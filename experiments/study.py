@@ -9,7 +9,7 @@ from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 
-from experiments import commands, hidden, labels, populations, reference, rivals, tracking, trials
+from experiments import commands, hidden, labels, populations, rivals, sweep, tracking, trials
 from experiments.populations import Workshop
 from experiments.results import Part
 from hpac_gym.command import add_counts, command_parser, run
@@ -77,7 +77,7 @@ def _commands(
 
 
 def _trials(options: argparse.Namespace) -> Part:
-    hand = reference.Reference.of()
+    hand = sweep.Reference.of()
     slow = replace(
         hand, rig=hand.rig.with_protocol(**(QUICK_PROTOCOL if options.quick else TRIAL_PROTOCOL))
     )
@@ -87,8 +87,8 @@ def _trials(options: argparse.Namespace) -> Part:
 PARTS: dict[str, Callable[[argparse.Namespace], Part]] = {
     "populations": lambda options: populations.populations(_hands(options, 400), options.seed),
     "causes": lambda options: populations.causes(),
-    "seeds": lambda options: reference.seeds(
-        2 if options.quick else options.seeds, {0.75: 1.0} if options.quick else reference.SPEEDS
+    "seeds": lambda options: sweep.seeds(
+        2 if options.quick else options.seeds, {0.75: 1.0} if options.quick else sweep.SPEEDS
     ),
     "rivals": lambda options: rivals.rivals(
         _hands(options, 8), options.seed, (3, 8) if options.quick else rivals.SAMPLES
@@ -112,7 +112,7 @@ PARTS: dict[str, Callable[[argparse.Namespace], Part]] = {
     ),
     "trials": _trials,
     "tracking": lambda options: tracking.tracking(
-        reference.Reference.of(),
+        sweep.Reference.of(),
         options.trials,
         options.seed,
         (0.5,) if options.quick else tracking.RATES_HZ,

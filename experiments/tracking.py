@@ -12,8 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 
-from experiments.reference import Reference
+from experiments.populations import NINE
 from experiments.results import Interval, Part, mean_of
+from experiments.sweep import Reference
 from hpac_gym.calibration.accuracy import EVALUATED
 from hpac_gym.calibration.protocol import THUMB_CLEAR
 from hpac_gym.figures import GREEN, RED, new_figure
@@ -228,11 +229,9 @@ def run_tracking(
         factor = max(1 + reference.friction_spread * rng.standard_normal(), 0.0)
         rubbing = replace(reference, tendon_friction=factor * reference.tendon_friction)
         seen = track(rubbing, PROFILES[name], rate_hz, rng, closed)
-        for i, joint in enumerate(EVALUATED):
-            wanted = seen.wanted[:, JOINT_INDEX[joint]]
-            measured = seen.measured[:, JOINT_INDEX[joint]]
-            lags[i, run] = lag(seen.time, wanted, measured)
-            errors[i, run] = np.degrees(np.sqrt(np.mean((measured - wanted) ** 2)))
+        pairs = [(seen.wanted[:, joint], seen.measured[:, joint]) for joint in NINE]
+        lags[:, run] = [lag(seen.time, *pair) for pair in pairs]
+        errors[:, run] = [np.degrees(np.sqrt(np.mean((m - w) ** 2))) for w, m in pairs]
     table = zip((*EVALUATED, "mean"), (*errors, errors.mean(axis=0)), strict=True)
     rms = {joint: mean_of(values) for joint, values in table}
     return Tracked(name, rate_hz, closed, mean_of(1e3 * lags.mean(axis=0)), rms)
@@ -278,15 +277,9 @@ def tracking_figure(found: list[Tracked]) -> Figure:
             runs = [item for item in found if item.profile == profile and item.closed == closed]
             rates = [item.rate_hz for item in runs]
             joints = [[item.rms_deg[joint].middle for joint in EVALUATED] for item in runs]
+            means = [item.rms_deg["mean"].middle for item in runs]
             axis.plot(rates, joints, "-", color=color, alpha=0.25)
-            axis.plot(
-                rates,
-                [item.rms_deg["mean"].middle for item in runs],
-                "o-",
-                color=color,
-                linewidth=2,
-                label=name,
-            )
+            axis.plot(rates, means, "o-", color=color, linewidth=2, label=name)
         axis.set_title(profile.replace("_", " "), fontsize=10)
         axis.set_xlabel("rate of the command [Hz]")
         axis.set_xscale("log", base=2)

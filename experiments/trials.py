@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 
-from experiments.reference import Reference
 from experiments.results import Column, Interval, Part, mean_of, part_of
+from experiments.sweep import Reference
 from hpac_gym.calibration.processing import points, processed
 from hpac_gym.calibration.record import EXTENDING, FLEXING, Sweep, concatenate, joints_of_servo
 from hpac_gym.figures import BLUE, GREY, label, new_figure

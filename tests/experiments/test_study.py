@@ -11,9 +11,9 @@ import pytest
 from experiments import commands, populations, rivals, study, tracking, trials
 from experiments.bench import JointCamera, Protocol, metal_sweeps
 from experiments.quasistatic import Built, Metal, hand_course
-from experiments.reference import Reference
 from experiments.results import Column, Part, mean_of, range_of, rows_of, table
 from experiments.rig import NEAR_STOP, rig_of
+from experiments.sweep import Reference
 from experiments.trials import JointTrials
 from hpac_gym.calibration.accuracy import EVALUATED
 from hpac_gym.calibration.processing import points, processed
