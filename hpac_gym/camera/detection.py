@@ -16,6 +16,7 @@ import numpy as np
 
 from hpac_gym.camera import CameraError, opencv
 from hpac_gym.camera.sheet import TAGS
+from hpac_gym.errors import HpacError
 from hpac_gym.model.checks import Array
 from hpac_gym.settings import check_bounds, setting
 
@@ -269,7 +270,7 @@ class Watch(Generic[_Result]):
 
     Args:
         frames: the camera.
-        look: what is made of a picture; a `CameraError` that it raises is kept as `fault`.
+        look: what is made of a picture; an `HpacError` that it raises is kept as `fault`.
 
     Attributes:
         fault: why the last picture had no result; empty if it had one.
@@ -295,7 +296,7 @@ class Watch(Generic[_Result]):
                 try:
                     self._latest = look(picture), at
                     self.fault = ""
-                except CameraError as error:
+                except HpacError as error:
                     self.fault = f"{error}"
         except Exception as error:  # of a thread, which nobody else would see
             self.fault = f"{type(error).__name__}: {error}"

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
-from hpac_gym.deploy.errors import MALFORMED, DeployError, udp
+from hpac_gym.deploy.errors import MALFORMED, VERSION, DeployError, packet, udp
 from hpac_gym.progress import Late
 
 PACKET = "hpac_arm"
@@ -19,7 +19,6 @@ and the wrist's offset from its start along the world's axes [m]; answered to th
 ``ready``, which come until then, is ``{"hpac_arm": 1, "ready": true}``. These also tell the `wrist`
 of a policy that places it, −1…1 by the name of the action.
 """
-VERSION = 1
 
 
 class Arm:
@@ -93,8 +92,7 @@ class Remote(Arm):
             wait(0.1)
             late()
             with suppress(OSError, *MALFORMED):
-                answer = json.loads(self._socket.recv(4096))
-                if answer[PACKET] == VERSION and answer["ready"] is True:
+                if packet(self._socket.recv(4096), PACKET)["ready"] is True:
                     return
         raise DeployError(f"{self._where} did not say that it is ready within 60 s")
 

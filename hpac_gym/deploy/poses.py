@@ -3,11 +3,11 @@
 All of them give poses in the frame of the hand, as `hpac_gym.deploy.observer.Pose` has it."""
 
 import csv
-import json
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
-from threading import Thread
 from time import monotonic, sleep
+from types import SimpleNamespace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.camera.detection import Device, Lens, Watch, lens_of
 from hpac_gym.camera.poses import object_place
-from hpac_gym.deploy.errors import MALFORMED, PoseError, udp
+from hpac_gym.deploy.errors import MALFORMED, PoseError, packet, udp
 from hpac_gym.deploy.observer import Pose
 from hpac_gym.output import read_text
 from hpac_gym.progress import Late
@@ -24,7 +24,6 @@ PACKET = "hpac_pose"
 """Name of the version field of a packet: ``{"hpac_pose": 1, "position": [x, y, z], "quaternion":
 [x, y, z, w]}``, in m, in UTF-8, one a datagram; without a quaternion the object stands upright.
 """
-VERSION = 1
 FURTHEST = 1.0
 """No object that a hand can hold is seen further from it [m]."""
 COLUMNS = ("time_s", "x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
@@ -42,13 +41,10 @@ class Source:
     where = "its source"
     clock: Callable[[], float] = monotonic
     fault = ""
-    _latest: tuple[Pose, float] | None = None
-    """The latest pose and when it came [s]."""
 
     def latest(self) -> tuple[Pose, float] | None:
         """The latest pose and its age [s]; None before the first. Never waits."""
-        latest = self._latest
-        return None if latest is None else (latest[0], monotonic() - latest[1])
+        raise NotImplementedError
 
     def begin(self) -> None:
         """Take note that the hand begins to close."""
@@ -97,28 +93,28 @@ class Recorded(Source):
 
     def __init__(self, path: Path) -> None:
         text = read_text(path, "poses", PoseError, "utf-8-sig")
+        self._rows: list[tuple[float, Pose]] = []
+        self._began: float | None = None
+        where = f"poses {path}"
+        before = -np.inf
         try:
             rows = list(csv.DictReader(text.splitlines()))
-        except csv.Error as error:
-            raise PoseError(f"poses {path}: {error}") from None
-        self._rows: list[tuple[float, Pose]] = []
-        for number, row in enumerate(rows, 2):
-            where = f"poses {path}, row {number}"
-            given = tuple(name for name in COLUMNS if row.get(name))
-            if given not in (COLUMNS[:4], COLUMNS):
-                raise PoseError(f"{where}: the columns are {', '.join(COLUMNS)}")
-            try:
+            for number, row in enumerate(rows, 2):
+                where = f"poses {path}, row {number}"
+                given = tuple(name for name in COLUMNS if row.get(name))
+                if given not in (COLUMNS[:4], COLUMNS):
+                    raise PoseError(f"{where}: the columns are {', '.join(COLUMNS)}")
                 at, *numbers = (float(row[name]) for name in given)
-            except ValueError as error:
-                raise PoseError(f"{where}: {error}") from None
-            if not np.isfinite(at):
-                raise PoseError(f"{where}: time_s = {at} must be a finite number [s]")
-            if self._rows and at <= self._rows[-1][0]:
-                raise PoseError(f"{where}: {at:g} s does not follow {self._rows[-1][0]:g} s")
-            self._rows.append((at, pose_of(numbers, where)))
+                if not before < at < np.inf:
+                    raise PoseError(
+                        f"{where}: time_s = {at:g} s must be finite, after {before:g} s"
+                    )
+                self._rows.append((at, pose_of(numbers, where)))
+                before = at
+        except (csv.Error, ValueError) as error:
+            raise PoseError(f"{where}: {error}") from None
         if not rows:
-            raise PoseError(f"poses {path}: no rows")
-        self._began: float | None = None
+            raise PoseError(f"{where}: no rows")
 
     def begin(self) -> None:
         self._began = None
@@ -131,7 +127,7 @@ class Recorded(Source):
         return pose, max(now - at, 0.0)
 
 
-class Packets(Source):
+class Packets(Watch[Pose], Source):
     """Poses that another program sends by UDP to a port of this computer; see `PACKET`.
 
     A thread takes each as it comes: in the port's queue a pose would not age, and keep out newer
@@ -141,7 +137,7 @@ class Packets(Source):
         DeployError: The port cannot be opened.
 
     Attributes:
-        fault: what was wrong with the last packet that was no pose.
+        fault: why the last packet was no pose.
     """
 
     def __init__(self, port: int) -> None:
@@ -149,35 +145,24 @@ class Packets(Source):
         self._socket.settimeout(0.1)  # before the thread looks whether the port is closed
         self.port = self._socket.getsockname()[1]
         self.where = f"udp:{self.port}"
-        self._thread = Thread(target=self._run, name="hpac poses", daemon=True)
-        self._thread.start()
+        super().__init__(SimpleNamespace(read=self._read, close=self._socket.close), _told)
 
-    def _run(self) -> None:
-        while True:
-            try:
-                data = self._socket.recv(4096)
-            except TimeoutError:
-                continue
-            except OSError as error:  # closed, or broken
-                self.fault = f"{error}"
-                return
-            at = monotonic()
-            try:
-                packet = json.loads(data)
-                if packet[PACKET] != VERSION:
-                    raise PoseError(f"{PACKET} {packet[PACKET]!r}, this program reads {VERSION}")
-                numbers = [*packet["position"], *packet.get("quaternion", ())]
-                self._latest = pose_of(numbers, "packet"), at
-            except PoseError as error:
-                self.fault = f"{error}"
-            except MALFORMED as error:
-                self.fault = (
-                    f"no packet with {PACKET}, position and quaternion: {data[:80]!r} ({error})"
-                )
+    def _read(self) -> bytes | None:
+        while not self._stop.is_set():
+            with suppress(TimeoutError):
+                return self._socket.recv(4096)
+        return None
 
-    def close(self) -> None:
-        self._socket.close()
-        self._thread.join()
+
+def _told(data: bytes) -> Pose:
+    """The pose of a packet."""
+    try:
+        told = packet(data, PACKET)
+        return pose_of([*told["position"], *told.get("quaternion", ())], "packet")
+    except MALFORMED as error:
+        raise PoseError(
+            f"no packet with {PACKET}, position and quaternion: {data[:80]!r} ({error})"
+        ) from None
 
 
 class Tags(Watch[Pose], Source):
@@ -273,10 +258,7 @@ def averaged(
     if not poses:
         raise PoseError(f"the object's pose is {age:.3g} s old, allowed {oldest:g} s")
     place = np.mean([pose.position for pose in poses], axis=0)
-    quaternions = np.array([pose.quaternion for pose in poses if pose.quaternion])
-    if not len(quaternions):
+    quaternions = [pose.quaternion for pose in poses if pose.quaternion]
+    if not quaternions:
         return Pose(place)
-    # The mean rotation is the first eigenvector of the sum of the outer products.
-    _, vectors = np.linalg.eigh(quaternions.T @ quaternions)
-    mean = vectors[:, -1] * (np.sign(vectors[:, -1] @ quaternions[0]) or 1.0)
-    return Pose(place, tuple(mean.tolist()))
+    return Pose(place, tuple(Rotation.from_quat(quaternions).mean().as_quat().tolist()))

@@ -20,7 +20,7 @@ from hpac_gym.bridge.stop import UNCONFIRMED, stop
 from hpac_gym.calibration.record import JOINT_COLUMNS
 from hpac_gym.command import say
 from hpac_gym.deploy import arm as arms, poses
-from hpac_gym.deploy.errors import MALFORMED, udp
+from hpac_gym.deploy.errors import MALFORMED, VERSION, packet, udp
 from hpac_gym.model.checks import Array
 from hpac_gym.output import Lines
 from hpac_gym.physics.engine import PhysicsError, SceneState
@@ -90,7 +90,8 @@ class Virtual:
         self._relay = relay
         self._arm = udp(f"UDP port {arm_port}", "127.0.0.1", arm_port, bind=True)
         self.arm_port = self._arm.getsockname()[1]
-        self.pose_port = pose_port or _free_port()
+        with udp("a free port", "127.0.0.1", 0, bind=True) as probe:
+            self.pose_port = pose_port or probe.getsockname()[1]
         self._camera = udp(f"UDP port {self.pose_port}", "127.0.0.1", self.pose_port)
         self._began = time.monotonic()
         self._due = 0.0
@@ -137,19 +138,19 @@ class Virtual:
                 self._phase = ""
                 self._seen_until = np.inf
             if now < self._seen_until:
-                self._see(state)
-            self._judge()
+                seen = self.body.seen(state)
+                told = {"position": seen.position.tolist(), "quaternion": seen.quaternion}
+                with suppress(OSError):  # nobody listens
+                    self._camera.send(json.dumps({poses.PACKET: VERSION, **told}).encode())
+            if self.body.outcome not in (RUNNING, self._told):
+                self._told = self.body.outcome
+                outcome = OUTCOMES[self._told]
+                said = f"episode {self._episodes}: {outcome}"
+                say(self._as_json, said, episode=self._episodes, outcome=outcome)
             if self.tracker:
                 self.tracker.write(state.joint_pos[0])
             if self.page:
                 self._show(state, pulses)
-
-    def _see(self, state: SceneState) -> None:
-        """Send the object's pose."""
-        pose = self.body.seen(state)
-        packet = {poses.PACKET: poses.VERSION, "position": pose.position.tolist()}
-        with suppress(OSError):  # nobody listens
-            self._camera.send(json.dumps(packet | {"quaternion": pose.quaternion}).encode())
 
     def _show(self, state: SceneState, pulses: Array) -> None:
         """Show the hand on the page, whose sliders drive it while no program does."""
@@ -177,10 +178,8 @@ class Virtual:
                 data, address = self._arm.recvfrom(4096)
             except OSError:
                 return
-            try:
-                told = json.loads(data)
-                if told[arms.PACKET] != arms.VERSION:
-                    continue
+            with suppress(OSError, *MALFORMED):
+                told = packet(data, arms.PACKET)
                 if told["phase"] != "ready":
                     self.body.tell(told)
                 elif self._phase != "ready":
@@ -193,18 +192,8 @@ class Virtual:
                     self._episodes += 1
                 self._phase = told["phase"]
                 if self._phase == "ready":
-                    answer = json.dumps({arms.PACKET: arms.VERSION, "ready": True})
+                    answer = json.dumps({arms.PACKET: VERSION, "ready": True})
                     self._arm.sendto(answer.encode(), address)
-            except (OSError, *MALFORMED):
-                continue
-
-    def _judge(self) -> None:
-        """Tell the outcome of an episode once."""
-        if self.body.outcome not in (RUNNING, self._told):
-            self._told = self.body.outcome
-            outcome = OUTCOMES[self._told]
-            said = f"episode {self._episodes}: {outcome}"
-            say(self._as_json, said, episode=self._episodes, outcome=outcome)
 
     def estop(self) -> None:
         """Stop the hand, as `hpac estop` does, from any thread; `stopped` tells what came of it."""
@@ -219,8 +208,3 @@ class Virtual:
         """Close the sockets."""
         self._arm.close()
         self._camera.close()
-
-
-def _free_port() -> int:
-    with udp("a free port", "127.0.0.1", 0, bind=True) as probe:
-        return probe.getsockname()[1]
