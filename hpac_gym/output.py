@@ -52,14 +52,10 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
-def numbered(path: Path) -> Iterator[Path]:
-    """The names `NAME-1`, `NAME-2` and so on of a file."""
-    return (path.with_stem(f"{path.stem}-{number}") for number in count(1))
-
-
 def keep(path: Path, beside: Callable[[Path], Path] = Path) -> None:
     """Move a file, and the one `beside` it, out of the way, to `NAME-1` or the next free number."""
-    free = next(new for new in numbered(path) if not (new.exists() or beside(new).exists()))
+    numbered = (path.with_stem(f"{path.stem}-{number}") for number in count(1))
+    free = next(new for new in numbered if not (new.exists() or beside(new).exists()))
     for old, new in ((path, free), (beside(path), beside(free))):
         if old.is_file():
             old.rename(new)

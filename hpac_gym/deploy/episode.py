@@ -7,7 +7,6 @@ import os
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict
-from itertools import chain, takewhile
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +21,7 @@ from hpac_gym.deploy.observer import Observer, Pose
 from hpac_gym.deploy.poses import Source, averaged
 from hpac_gym.model import SERVOS
 from hpac_gym.model.checks import Array
-from hpac_gym.output import Lines, OutputError, keep, numbered, writing
+from hpac_gym.output import Lines, OutputError, keep, writing
 from hpac_gym.policies import Policy
 from hpac_gym.policies.policy import ask
 from hpac_gym.tasks.task import CONTROL_HZ
@@ -50,20 +49,20 @@ class Log(Lines):
     """
 
     def __init__(self, path: Path | None) -> None:
-        if path is not None:
-            with writing(path):
-                path.parent.mkdir(parents=True, exist_ok=True)
-                if path.is_file() or wire_log(path).is_file():
-                    keep(path, wire_log)
-        super().__init__(path or os.devnull, "a")
+        path = path or Path(os.devnull)
+        with writing(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            keep(path, wire_log)
+        super().__init__(path, "a")
 
     @property
     def path(self) -> Path:
         """Where it is: a later log of its name has moved it."""
         given = Path(self._path)
         here = os.fstat(self._file.fileno())
-        names = takewhile(Path.exists, chain([given], numbered(given)))
-        return next((name for name in names if os.path.samestat(name.stat(), here)), given)
+        with os.scandir(given.parent) as files:
+            mine = (given.with_name(file.name) for file in files if file.inode() == here.st_ino)
+            return next(mine, given)
 
     def write(self, **line: Any) -> None:
         """Write a line.

@@ -431,35 +431,30 @@ def test_the_page_of_a_deployment_shows_a_calibrated_hand_by_its_file(link, monk
     np.testing.assert_allclose(shown.joint_pos, expected, atol=5e-3)
 
 
-def test_a_log_is_kept_from_the_next_deployment_that_names_it(log, tmp_path, capsys):
+def test_a_log_is_kept_from_the_next_deployment_that_names_it(log, capsys):
     words = [*WORDS, "--log", log, "--port"]
     steps = log.read_text()
     assert told(capsys, *words, "/dev/none")[0] == 2
     assert log.read_text() == steps
-    with log.open("a") as still_writing:
-        assert told(capsys, *words, "virtual")[0] == 0
-        still_writing.write("more")
-    assert (tmp_path / "log-1.jsonl").read_text() == steps + "more"
     assert told(capsys, *words, "virtual")[0] == 0
-    kept = {name: (tmp_path / f"log{name}.jsonl").read_text() for name in ("", "-1", "-2")}
-    wires = {name: (tmp_path / f"log{name}.wire.jsonl").read_text() for name in kept}
-    assert [text.count("\n") for text in kept.values()] == [66] * 3
-    assert len(set(wires.values())) == 3
+    assert log.with_stem("log-1").read_text() == steps
+    assert log.read_text().count("\n") == 66
 
 
-def test_every_log_has_a_wire_log_of_its_own_which_is_kept_without_it(tmp_path):
+def test_every_log_has_a_wire_log_of_its_own_and_says_where_a_later_one_has_moved_it(tmp_path):
     names = [wire_log(Path(name)).name for name in ("n.jsonl", "try.1", "try.2")]
     assert names == ["n.wire.jsonl", "try.1.wire.jsonl", "try.2.wire.jsonl"]
-    (tmp_path / "n.wire.jsonl").write_text("frames")
-    with Log(tmp_path / "n.jsonl"):
-        assert (tmp_path / "n-1.wire.jsonl").read_text() == "frames"
-
-
-def test_a_log_says_where_a_later_one_of_its_name_has_moved_it(tmp_path):
     given = tmp_path / "n.jsonl"
-    with Log(given) as first, Log(given) as second, Log(given) as third:
-        places = [log.path.name for log in (first, second, third)]
-    assert places == ["n-1.jsonl", "n-2.jsonl", "n.jsonl"]
+    wire_log(given).write_text("frames")
+    with Log(given) as first:
+        wire_log(given).write_text("its own frames")
+        with Log(given) as second, Log(given) as third:
+            places = [log.path.name for log in (first, second, third)]
+            first.write(end="done")
+    assert places == ["n-2.jsonl", "n-3.jsonl", "n.jsonl"]
+    assert given.with_stem("n-2").read_text() == '{"end": "done"}\n'
+    wires = [(tmp_path / f"n-{number}.wire.jsonl").read_text() for number in (1, 2)]
+    assert wires == ["frames", "its own frames"]
 
 
 @pytest.mark.skipif(not Path("/dev/null").exists(), reason="no device that keeps nothing")
