@@ -86,9 +86,7 @@ class Observer:
                 f"{name} cannot be deployed: a hand with a camera can do {', '.join(TASKS)}"
             )
         if grasp is not None:
-            if name not in (GRASP, GRASP_TYPE):
-                raise DeployError(f"{name} has no grasps by name, such as {grasp!r}")
-            options |= {"grasp" if name == GRASP else "types": grasp}
+            options["types" if name == GRASP_TYPE else "grasp"] = grasp
         try:
             self.task: Task = make_task(name, **options)
         except TypeError as error:
@@ -109,12 +107,11 @@ class Observer:
         self._times = tuple((np.arange(self.steps + 1) / CONTROL_HZ).tolist())
         self.start()
 
-    def start(self) -> None:
-        """Begin an episode: the hand stands in the task's start posture."""
-        self._begin(self.setup)
-
-    def _begin(self, setup: SceneSetup) -> None:
-        self._setup = setup
+    def start(self, chosen: SceneSetup | None = None) -> None:
+        """Begin an episode: the hand stands in the task's start posture, or where a policy has placed
+        it.
+        """
+        setup = self._setup = chosen or self.setup
         self.task.start([0], [setup])
         self._layout.start([0], [setup])
         self._commands.start([0], [setup])
@@ -196,7 +193,7 @@ class Observer:
         action = np.asarray(action, dtype=float)
         target = self._commands.target(action[None])[0]
         if self.task.wrist_actions and self.step == 0:
-            self._begin(self.task.chosen(self.setup, action))
+            self.start(self.task.chosen(self.setup, action))
         self._commands.last_action = action[None, : len(SERVOS)]
         return target
 
