@@ -4,6 +4,7 @@ sensors: it is shown where the elastic model predicts it."""
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, suppress
+from dataclasses import replace
 from threading import Event, Thread
 from typing import Any
 
@@ -77,7 +78,7 @@ def watched(
                 text = f"{now['fault']}{now['phase']}; {status.state}"
                 page.show(predicted(status.servo, now["pose"], now["offset"], text))
 
-    page = HandPage(setup, ABOUT, stop, browser=True, supports=False, driven=True)
+    page = HandPage(replace(setup, fixed=True), ABOUT, stop, browser=True, driven=True)
     thread = Thread(target=show, daemon=True)
     thread.start()
     try:
@@ -91,7 +92,7 @@ def watched(
 def show_log(setup: SceneSetup, steps: list[dict[str, Any]], hand: Hand) -> None:
     """Play the steps of a hand's log again and again, in real time, until Ctrl-C."""
     about = f"A log of {len(steps)} steps. {ABOUT}"
-    page = HandPage(setup, about, browser=True, supports=False, driven=True)
+    page = HandPage(replace(setup, fixed=True), about, browser=True, driven=True)
     predicted = Predicted(hand)
     with closing(page), suppress(KeyboardInterrupt):
         while True:

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 from trimesh import Trimesh, creation
 
-from hpac_gym.body.geometry import Box, Capsule, Geometry, Phalanx, rotation_from_rpy
+from hpac_gym.body.geometry import Box, Capsule, Geometry, rotation_from_rpy
 from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.body.urdf import COLORS
 from hpac_gym.model import DIGITS, JOINT_INDEX
@@ -136,21 +136,17 @@ class Links:
             self._frames.append(
                 server.scene.add_frame(path, show_axes=False, position=phalanx.origin)
             )
-            if not ghost:
-                self._add_tendon(server, path, phalanx)
+            if not ghost:  # a tendon is drawn along the palmar side of a link
+                reach = 1.08 * phalanx.capsule.radius
+                ends = np.array([[[reach, 0.0, 0.0], [reach, 0.0, phalanx.capsule.end[2]]]])
+                line = server.scene.add_line_segments(
+                    f"{path}/tendon", ends, tuple(SLACK_COLOR), thickness=0.0022
+                )
+                self._tendons[phalanx.joint.split("_")[0]].append(line)
         look = {"color": color, "opacity": 0.35} if ghost else {}
         for index, (link, mesh, own) in enumerate(hand_meshes(geometry)):
             if not (ghost and link == "palm"):
                 add_mesh(server, f"{paths[link]}/mesh_{index}", mesh, own, **look)
-
-    def _add_tendon(self, server: viser.ViserServer, path: str, phalanx: Phalanx) -> None:
-        """A tendon is drawn along the palmar side of a link."""
-        reach = 1.08 * phalanx.capsule.radius
-        ends = np.array([[[reach, 0.0, 0.0], [reach, 0.0, phalanx.capsule.end[2]]]])
-        line = server.scene.add_line_segments(
-            f"{path}/tendon", ends, tuple(SLACK_COLOR), thickness=0.0022
-        )
-        self._tendons[phalanx.joint.split("_")[0]].append(line)
 
     def pose(self, joint_pos: Array, wrist: Array) -> None:
         """Move the links."""

@@ -25,6 +25,7 @@ from hpac_gym.model import (
     servo_from_synergy,
 )
 from hpac_gym.model.checks import Array
+from hpac_gym.output import markdown
 from hpac_gym.physics.engine import HAND_POSITION, SceneSetup, SceneState
 from hpac_gym.physics.supports import COLORS, support_boxes
 from hpac_gym.view.meshes import Links, add_mesh, moved, object_meshes, solid
@@ -89,11 +90,11 @@ class HandPage:
     """A page on this computer alone, whose address is printed.
 
     Args:
-        setup: the scene; its object may be None. The slider of the thumb's CMC begins at its angle.
+        setup: the scene; its object may be None, or fixed where nobody knows what it stands on. The
+            slider of the thumb's CMC begins at its angle.
         about: what is seen, in a sentence.
         stop: called by the button that sends ESTOP; None is a page without one.
         browser: open a browser.
-        supports: show what the object stands on; nobody knows it of a real hand.
         driven: something else moves the hand and the object; the sliders only follow.
 
     Attributes:
@@ -108,10 +109,8 @@ class HandPage:
         about: str,
         stop: Callable[[], None] | None = None,
         browser: bool = False,
-        supports: bool = True,
         driven: bool = False,
     ) -> None:
-        self._supports = supports
         self._driven = driven
         with redirect_stdout(io.StringIO()):  # its banner
             self._server = viser.ViserServer("127.0.0.1", label="H-PAC hand", verbose=False)
@@ -152,18 +151,15 @@ class HandPage:
                 name: Links(self._server, setup, name, rgb) for name, (_, rgb) in GHOSTS.items()
             }
             self._again.visible = setup.object is not None and not self._driven
-            self._object = None
-            if setup.object is not None:
-                self._draw_object(setup)
-
-    def _draw_object(self, setup: SceneSetup) -> None:
-        self._object = self._server.scene.add_frame("/scene/object", show_axes=False)
-        for index, (mesh, color) in enumerate(object_meshes(setup.object)):
-            add_mesh(self._server, f"/scene/object/{index}", mesh, color)
-        for index, box in enumerate(support_boxes(setup) if self._supports else ()):
-            turn = Rotation.from_quat(box.quaternion)
-            mesh = moved(solid("box", box.half_extents), box.centre, turn)
-            add_mesh(self._server, f"/scene/support/{index}", mesh, COLORS[box.kind])
+            self._object = self._server.scene.add_frame("/scene/object", show_axes=False)
+            if setup.object is None:
+                return
+            for index, (mesh, color) in enumerate(object_meshes(setup.object)):
+                add_mesh(self._server, f"/scene/object/{index}", mesh, color)
+            for index, box in enumerate([] if setup.fixed else support_boxes(setup)):
+                turn = Rotation.from_quat(box.quaternion)
+                mesh = moved(solid("box", box.half_extents), box.centre, turn)
+                add_mesh(self._server, f"/scene/support/{index}", mesh, COLORS[box.kind])
 
     # Controls -----------------------------------------------------------------------------
 
@@ -248,13 +244,12 @@ class HandPage:
                     self._ghosts[name].pose(posture, shown.wrist)
             if shown.tension is not None:
                 self._hand.pull(shown.tension)
-            if self._object is not None:
-                self._object.visible = shown.object_pos is not None
-                if shown.object_pos is not None:
-                    place = HAND_POSITION + shown.wrist + self._hand_turn.apply(shown.object_pos)
-                    self._object.position = tuple(place)
-                    turn = self._hand_turn * (shown.object_rotation or Rotation.identity())
-                    self._object.wxyz = turn.as_quat(scalar_first=True)
+            self._object.visible = shown.object_pos is not None
+            if shown.object_pos is not None:
+                place = HAND_POSITION + shown.wrist + self._hand_turn.apply(shown.object_pos)
+                self._object.position = tuple(place)
+                turn = self._hand_turn * (shown.object_rotation or Rotation.identity())
+                self._object.wxyz = turn.as_quat(scalar_first=True)
             if self.sliders[0].disabled:
                 for slider, value in zip(self.sliders, shown.servo, strict=True):
                     slider.value = round(float(np.clip(value, slider.min, slider.max)), 2)
@@ -271,17 +266,15 @@ class HandPage:
 
 def _limited(slider: viser.GuiSliderHandle[float]) -> float:
     """Value of a slider; the page also takes a number beyond its range, which is brought back."""
-    value = min(max(slider.value, slider.min), slider.max)
-    if slider.value != value:
-        slider.value = value
-    return value
+    slider.value = min(max(slider.value, slider.min), slider.max)
+    return slider.value
 
 
 def _figures(shown: Shown) -> str:
     """A table of the joints that servos drive, and their tendons."""
-    rows = ["| joint | angle [rad] | tendon [N] |", "| --- | --- | --- |"]
+    rows = []
     for i, servo in enumerate(SERVOS[: len(DIGITS)]):
         pull = "" if shown.tension is None else f"{shown.tension[i].round(1) + 0.0:.1f}"
         angle = shown.joint_pos[JOINT_INDEX[servo]].round(2) + 0.0  # no −0
-        rows.append(f"| {servo} | {angle:.2f} | {pull} |")
-    return "\n".join(rows) + f"\n\n{shown.text}"
+        rows.append((servo, f"{angle:.2f}", pull))
+    return markdown(("joint", "angle [rad]", "tendon [N]"), rows) + f"\n\n{shown.text}"

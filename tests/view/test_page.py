@@ -2,7 +2,7 @@
 
 import re
 import signal
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 
 import numpy as np
 import pytest
@@ -49,24 +49,26 @@ def test_every_link_of_the_hand_and_every_object_is_drawn():
         np.testing.assert_allclose(reach, model.half_extents, rtol=0.05)
 
 
-def test_the_sliders_begin_with_the_hand_open_and_the_thumb_turned_as_in_the_scene():
-    page = HandPage(SceneSetup(None, synergy=np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.9])), "")
+@pytest.fixture(scope="module")
+def page():
+    """The page of a hand with a turned thumb and a box."""
+    synergy = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.9])
+    with closing(
+        HandPage(SceneSetup(ObjectSpec("box", HALF, 0.1, 0.8), synergy=synergy), "")
+    ) as made:
+        yield made
+
+
+def test_the_sliders_begin_as_in_the_scene_and_take_no_number_beyond_their_range(page):
     np.testing.assert_allclose(page.wanted(), [0, 0, 0, 0, 0, 0.9 / HPAC.cmc_gain])
-    page.close()
-
-
-def test_a_number_typed_beyond_a_slider_is_brought_back_into_its_range():
-    page = HandPage(SceneSetup(None), "")
     page.lift.value = 1.2
     page.sliders[1].value = 9.0
     page.sliders[2].value = -9.0
     assert page.lifted() == page.lift.value == page.lift.max == 0.12
     assert page.wanted()[1:3].tolist() == [page.sliders[1].max, page.sliders[2].min]
-    page.close()
 
 
-def test_a_page_that_something_else_drives_says_so_and_has_no_buttons_for_it():
-    page = HandPage(SceneSetup(None), "", driven=True)
+def test_a_page_that_something_else_drives_says_so_and_has_no_buttons_for_it(page):
     for driven in (True, False, True):
         page.free(not driven)
         assert page._servos.label == "Servos [rad]" + ", read-only" * driven
@@ -77,15 +79,12 @@ def test_a_page_that_something_else_drives_says_so_and_has_no_buttons_for_it():
     page.show(Shown(np.full(15, 0.5), np.zeros(6), np.zeros(3), np.full(5, -0.01)))
     assert "| joint | angle [rad] |" in page._figures.content
     assert "| thumb_mp | 0.50 | 0.0 |" in page._figures.content
-    page.close()
 
 
-def test_an_object_is_shown_only_where_somebody_has_seen_it():
-    page = HandPage(SceneSetup(ObjectSpec("box", HALF, 0.1, 0.8)), "", driven=True)
+def test_an_object_is_shown_only_where_somebody_has_seen_it(page):
     for place in (None, np.array([0.05, 0.0, 0.1]), None):
         page.show(Shown(np.zeros(15), np.zeros(6), np.zeros(3), object_pos=place))
         assert page._object.visible == (place is not None)
-    page.close()
 
 
 # --- in the browser
