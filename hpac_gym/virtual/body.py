@@ -3,6 +3,7 @@ carries the hand; also the camera that sees the object.
 
 `hpac virtual` drives it in real time; `LockStep` in virtual time, for tests and experiments."""
 
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -38,7 +39,7 @@ OPEN = 0.15
 OPENED_AFTER_US = 3_000_000
 """Time without pulses after which somebody opens a hand that was left closed (chosen) [µs]."""
 KEPT = 200
-"""Offsets that an arm remembers: of ten seconds, much more than it is late (chosen)."""
+"""Offsets that an arm remembers: of seconds, much more than it is late (chosen)."""
 NEVER = 1 << 62
 
 
@@ -46,17 +47,15 @@ class Path:
     """Offsets of the wrist that an arm is told, 20 a second, and follows smoothly."""
 
     def __init__(self) -> None:
-        self._told: dict[int, Array] = {}
+        self._told: deque[tuple[int, Array]] = deque(maxlen=KEPT)
 
     def tell(self, time: float, offset: Array) -> None:
         """Take note of an offset, shape (3,) [m], for a time [s]."""
-        self._told[round(time * CONTROL_HZ)] = offset
-        if len(self._told) > KEPT:
-            del self._told[next(iter(self._told))]
+        self._told.append((round(time * CONTROL_HZ), offset))
 
     def at(self, time: float) -> Array:
         """The offset at a time [s]: a cubic through what was told, at rest before and after it."""
-        if not self._told or time <= 0:
+        if time <= 0:
             return np.zeros(3)
         step, share = divmod(time * CONTROL_HZ, 1.0)
         before, start, end, after = (self._of(int(step) + k) for k in (-1, 0, 1, 2))
@@ -68,9 +67,8 @@ class Path:
 
     def _of(self, step: int) -> Array:
         """What was told for a step, or last before it."""
-        if step not in self._told:
-            step = max((told for told in self._told if told < step), default=-1)
-        return self._told.get(step, np.zeros(3))
+        known = (offset for told, offset in reversed(self._told) if told <= step)
+        return next(known, np.zeros(3))
 
 
 class Body:
@@ -97,6 +95,7 @@ class Body:
         by_table: bool = False,
     ) -> None:
         self._env = env
+        self._simulation = env.episodes.simulation
         self._seed = seed
         self._noise = noise
         self._rng = np.random.default_rng([seed, 9])
@@ -106,7 +105,7 @@ class Body:
         self._powered = True
         self._driven_us = 0.0
         self.place(setup)
-        self._turned: float = env.episodes.simulation.servos.horn[0, -1]
+        self._turned: float = self._simulation.servos.horn[0, -1]
 
     def place(self, setup: SceneSetup | None, servo: Array | None = None) -> None:
         """Put the object at its place and the wrist at its start, the hand as its servos have it by
@@ -161,14 +160,13 @@ class Body:
             self._advance(self._latch_us)
             servo = servo_from_pulses(pulses) if pulses.all() else by_hand
             if servo is not None:
-                simulation = self._env.episodes.simulation
-                simulation.command(servo[None], simulation.engine.dt)
+                self._simulation.command(servo[None], self._simulation.engine.dt)
             self._latch_us += LATCH_US
         self._advance(now_us)
 
     def _advance(self, until_us: float) -> None:
         """Advance the physics; the task looks 20 times a second."""
-        simulation = self._env.episodes.simulation
+        simulation = self._simulation
         dt = simulation.engine.dt
         looks = round(self._env.dt / dt)
         while (steps := int((until_us - self._at_us) / (1e6 * dt) + 1e-6)) > 0:
@@ -193,7 +191,12 @@ class Body:
 
     def state(self) -> SceneState:
         """The true state of the scene."""
-        return self._env.episodes.simulation.state()
+        return self._simulation.state()
+
+    @property
+    def _idle_us(self) -> int:
+        """Time for which nothing has driven the hand [µs]."""
+        return round(self._at_us - self._driven_us)
 
     def tidy_up(self, state: SceneState) -> None:
         """Somebody puts the object back when an episode is over, that is, its pulses were off since
@@ -202,23 +205,21 @@ class Body:
         """
         over = self._began_us is not None and not self._powered
         lost = np.linalg.norm(state.object_pos[0]) > FAR
-        idle_us = self._at_us - self._driven_us
         moved = np.linalg.norm(state.object_pos[0] - self.setup.position) > ASIDE
         closed = state.horn[0, : len(DIGITS)].max() >= OPEN
-        if closed and idle_us < OPENED_AFTER_US:
+        if closed and self._idle_us < OPENED_AFTER_US:
             return
-        if over or lost or (moved and idle_us > 0):
-            self.put_back(opened=closed, turned=idle_us > 0)
+        if over or lost or (moved and self._idle_us > 0):
+            self.put_back()
 
-    def put_back(self, opened: bool = False, turned: bool = False) -> None:
-        """Put the object and the wrist back, the hand as its servos have it, or opened by somebody,
-        who may turn the thumb to where it was at first, too: elsewhere it may lie in the object.
+    def put_back(self) -> None:
+        """Put the object and the wrist back, the hand as its servos have it. Where nothing drives it,
+        somebody opens it and turns the thumb to where it was at first: elsewhere it may lie in the
+        object.
         """
-        servo = self._env.episodes.simulation.servos.horn[0].copy()
-        if opened:
-            servo[: len(DIGITS)] = 0.0
-        if turned:
-            servo[-1] = self._turned
+        servo = self._simulation.servos.horn[0].copy()
+        if self._idle_us > 0:
+            servo = np.append(np.zeros(len(DIGITS)), self._turned)
         self.place(self.setup, servo)
 
     def seen(self, state: SceneState) -> Pose:

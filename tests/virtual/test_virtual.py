@@ -27,7 +27,6 @@ from hpac_gym.deploy.observer import Observer, Pose
 from hpac_gym.deploy.poses import Fixed
 from hpac_gym.evaluation.environment import make_env
 from hpac_gym.model import ServoCommand
-from hpac_gym.output import OutputError
 from hpac_gym.policies.loading import load_policy
 from hpac_gym.registration import GRASP, GRASP_ANY
 from hpac_gym.tasks.task import RUNNING, SUCCESS
@@ -41,13 +40,13 @@ from hpac_gym.virtual.body import (
     LockStep,
     Path as WristPath,
 )
-from hpac_gym.virtual.hand import Tracker, Virtual
+from hpac_gym.virtual.hand import Virtual
 from hpac_gym.virtual.scene import CAN, scene
 from hpac_gym.virtual.wire import BadTransport, Faults, Way
 from tests.options import refused
 from tests.processes import children_of, python, started, wait_for_the_end
 
-SEEDS = range(3_000_000, 3_000_006)
+SEEDS = range(3_000_000, 3_000_004)
 FAULTLESS = Faults()
 
 
@@ -56,6 +55,20 @@ def env():
     made = make_env(GRASP, engine="mujoco", body="light")
     yield made.unwrapped
     made.close()
+
+
+@pytest.fixture(scope="module")
+def can_env():
+    """The environment of the default scene."""
+    with make_env(GRASP, engine="mujoco", body="light", object=object_of(CAN)) as made:
+        yield made.unwrapped
+
+
+@pytest.fixture
+def named():
+    """A body in the scene of a named grasp."""
+    with make_env(GRASP, engine="mujoco", body="light", grasp="small_cylinder") as made:
+        yield Body(made.unwrapped, 0, scene(made.unwrapped, GRASP, None))
 
 
 @contextmanager
@@ -206,7 +219,7 @@ def test_what_is_typed_against_a_virtual_hand_holds_the_object(tmp_path):
         process.stdout.readline()
         outcome = process.stdout.readline()
         assert outcome == "episode 1: success\n" or (refused and outcome.startswith("episode 1: "))
-        process.send_signal(signal.SIGINT)
+        process.send_signal(signal.SIGTERM)
         said, _ = process.communicate(timeout=10)
         assert process.returncode == 0
         assert "object: cylinder" in said
@@ -216,31 +229,19 @@ def test_what_is_typed_against_a_virtual_hand_holds_the_object(tmp_path):
     wait_for_the_end(board, 10)
 
 
-def test_a_virtual_hand_that_is_killed_leaves_no_board_and_no_folder(tmp_path):
-    with running(TMPDIR=str(tmp_path)) as (process, _, _):
-        board = children_of(process, 1)
-        process.kill()
-        wait_for_the_end(board, 10)
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
-def test_a_hidden_hand_is_told_at_the_end_alone(number):
-    with running("--seed", "4") as (process, _, _):
-        os.kill(process.pid, number)
-        said, _ = process.communicate(timeout=10)
-    assert "hand H-PAC train_27, 91% of the nominal size" in said
-    assert "servo zero [deg]: thumb_mp" in said
-
-
-def test_a_board_that_restarts_when_its_port_is_opened_is_reached_over_a_bad_wire():
-    with running("--reset-on-open", "--latency", "0.005", "--damage", "0.02") as (_, port, _):
+def test_a_hidden_hand_that_restarts_when_its_port_is_opened_is_reached_over_a_bad_wire_and_told_at_the_end():
+    words = ("--seed", "4", "--reset-on-open", "--latency", "0.005", "--damage", "0.02")
+    with running(*words) as (process, port, _):
         for _ in range(2):
             with HandLink(port) as link:
                 link.arm(watchdog=2.0)
-                link.move(ServoCommand(np.full(6, 0.2), 1.0))
+                link.move(ServoCommand(np.full(6, 0.2), 0.4))
                 np.testing.assert_allclose(link.wait().servo, 0.2, atol=1e-3)
                 link.clear()
+        process.send_signal(signal.SIGHUP)
+        said, _ = process.communicate(timeout=10)
+    assert "hand H-PAC train_27, 91% of the nominal size" in said
+    assert "servo zero [deg]: thumb_mp" in said
 
 
 @pytest.mark.parametrize(
@@ -265,9 +266,9 @@ def test_wrong_words_are_one_line(words, says, capsys):
 # --- in lock-step
 
 
-def worlds(env, **how):
-    """Six worlds, one after the other."""
-    return (LockStep(env, seed, **how) for seed in SEEDS)
+def worlds(env, seeds=SEEDS, **how):
+    """Worlds, one after the other."""
+    return (LockStep(env, seed, **how) for seed in seeds)
 
 
 def through(worlds, faults=FAULTLESS, policy=None, source=None, item=None, **how):
@@ -289,21 +290,15 @@ def through(worlds, faults=FAULTLESS, policy=None, source=None, item=None, **how
     return held, counts
 
 
-@pytest.mark.parametrize(
-    ("faults", "at_least"),
-    [
-        (FAULTLESS, 5),
-        (Faults(loss=0.05), 3),
-        (Faults(jitter=0.002, latency=0.016), 4),
-        (Faults(damage=0.1), 4),
-    ],
-)
-def test_a_grasp_survives_a_bad_wire(env, faults, at_least):
-    held, counts = through(worlds(env), faults)
-    assert held >= at_least
+@pytest.mark.parametrize(("damage", "by_table"), [(0.1, True), (0.0, False)])
+def test_a_grasp_survives_damaged_frames_and_an_arm_that_is_told_carries_as_one_with_a_table(
+    env, damage, by_table
+):
+    """What loss, jitter and latency do is measured by `experiments.deployed`."""
+    held, counts = through(worlds(env, by_table=by_table), Faults(damage=damage))
+    assert held >= 3
     assert sum(count.refused for count in counts) == 0
-    spoiled = faults.loss + faults.damage
-    assert bool(sum(count.lost for count in counts)) == bool(spoiled)
+    assert (sum(count.lost for count in counts) > 0) == (damage > 0)
 
 
 OPEN = Mock(predict=Mock(return_value=(np.array([-1.0, -1, -1, -1, -1, 0.5]), None)))
@@ -311,33 +306,27 @@ OPEN = Mock(predict=Mock(return_value=(np.array([-1.0, -1, -1, -1, -1, 0.5]), No
 ELSEWHERE = Fixed(Pose(np.array([0.08, -0.06, 0.18])))
 
 
-@pytest.mark.parametrize(("wrong", "at_most"), [({"policy": OPEN}, 0), ({"source": ELSEWHERE}, 4)])
-def test_a_hand_that_does_not_close_holds_nothing_and_one_that_sees_it_elsewhere_less(
-    env, wrong, at_most
-):
+@pytest.mark.parametrize(
+    ("wrong", "seeds"), [({"policy": OPEN}, SEEDS[:1]), ({"source": ELSEWHERE}, SEEDS)]
+)
+def test_a_hand_that_does_not_close_or_sees_the_object_elsewhere_holds_it_less(env, wrong, seeds):
     """The controls of the test above."""
-    held, _ = through(worlds(env), **wrong)
-    assert held <= at_most
+    held, _ = through(worlds(env, seeds), **wrong)
+    assert held <= len(seeds) // 2
 
 
-def test_an_arm_that_is_told_carries_as_one_with_a_table(env):
-    held, _ = through(worlds(env, by_table=False))
-    assert held >= 5
-
-
-def test_five_digits_that_close_together_hold_and_lift_the_can_of_the_default_scene():
+def test_five_digits_that_close_together_hold_and_lift_the_can_of_the_default_scene(can_env):
     held = []
-    with make_env(GRASP, engine="mujoco", body="light", object=object_of(CAN)) as made:
-        body = Body(made.unwrapped, 0, scene(made.unwrapped, GRASP, None))
-        servo = np.array([0.0, 0, 0, 0, 0, 1.2])
-        for step in range(290):
-            servo[:-1] = 1.1 * np.clip(step / 60 - 0.8, 0, 1.5) / 1.5
-            height = 0.08 * np.clip(step / 60 - 3, 0, 1)
-            if step % 3 == 0:
-                body.tell({"time": step / 60, "offset": [0.0, 0.0, height]})
-            body.follow(round(step * 1e6 / 60), pulses_from_servo(servo))
-            held.append(not body.state().supported[0])
-        assert np.linalg.norm(body.state().object_pos[0]) < 0.15
+    body = Body(can_env, 0, scene(can_env, GRASP, None))
+    servo = np.array([0.0, 0, 0, 0, 0, 1.2])
+    for step in range(290):
+        servo[:-1] = 1.1 * np.clip(step / 60 - 0.8, 0, 1.5) / 1.5
+        height = 0.08 * np.clip(step / 60 - 3, 0, 1)
+        if step % 3 == 0:
+            body.tell({"time": step / 60, "offset": [0.0, 0.0, height]})
+        body.follow(round(step * 1e6 / 60), pulses_from_servo(servo))
+        held.append(not body.state().supported[0])
+    assert np.linalg.norm(body.state().object_pos[0]) < 0.15
     assert all(held[-20:])
     assert not any(held[5:40])
 
@@ -357,13 +346,10 @@ class Whole(LockStep):
         self.hand.quiet_until_us = now_us + LATCH_US
 
 
-def test_the_policy_holds_the_can_of_the_default_scene():
-    can = object_of(CAN)
-    with make_env(GRASP, engine="mujoco", body="light", object=can) as made:
-        setup = scene(made.unwrapped, GRASP, None)
-        wholes = (Whole(made.unwrapped, seed, setup) for seed in range(3))
-        held, _ = through(wholes, item=can, seconds=0.3, hold=0.5)
-    assert held == 3
+def test_the_policy_holds_the_can_of_the_default_scene(can_env):
+    whole = Whole(can_env, 0, scene(can_env, GRASP, None))
+    held, _ = through([whole], item=object_of(CAN), seconds=0.3, hold=0.5)
+    assert held == 1
 
 
 def test_the_arm_follows_smoothly_what_it_is_told():
@@ -381,49 +367,38 @@ def test_the_arm_follows_smoothly_what_it_is_told():
 
 def test_an_arm_forgets_what_it_was_told_long_ago():
     path = WristPath()
-    for step in range(72_000):  # an hour
+    for step in range(3 * KEPT):
         path.tell(step / 20, np.array([0.0, 0.0, step % 100]))
     assert len(path._told) <= KEPT
-    assert path.at(3_599.9)[2] == pytest.approx(98.0)
-    assert path.at(9_999.9)[2] == 99.0
+    assert path.at(29.9)[2] == pytest.approx(98.0)
+    assert path.at(99.9)[2] == 99.0
 
 
-def test_a_disk_that_becomes_full_is_told_with_the_file(tmp_path):
-    tracker = Tracker(tmp_path / "angles.csv")
-    tracker._file.close()
-    tracker._file = open("/dev/full", "w", buffering=1)  # noqa: SIM115 - by close()
-    with pytest.raises(OutputError, match=r"cannot write '.*angles\.csv': No space left on device"):
-        tracker.write(np.zeros(15))
-    tracker.close()
+def away(body):
+    """How far the object of a body is from its place [m]."""
+    return np.linalg.norm(body.state().object_pos[0] - body.setup.position)
 
 
-def test_the_thumb_of_a_resting_hand_does_not_lie_in_the_object_of_a_named_grasp():
-    with make_env(GRASP, engine="mujoco", body="light", grasp="small_cylinder") as made:
-        body = Body(made.unwrapped, 0, scene(made.unwrapped, GRASP, None))
-        for began in (0, 1_000_000):
-            body.follow(began + 300_000, np.zeros(6))
-            assert np.linalg.norm(body.state().object_pos[0] - body.setup.position) < 0.005
-            body.begin(began + 300_000)  # an episode, which ends with the thumb turned away
-            body.tell({"time": 0.0, "offset": [0.0, 0.0, 0.0]})
-            body.follow(began + 700_000, pulses_from_servo(np.zeros(6)))
-            body.follow(began + 900_000, np.zeros(6))
-            body.tidy_up(body.state())
+def test_the_thumb_of_a_resting_hand_does_not_lie_in_the_object_of_a_named_grasp(named):
+    for began in (0, 1_000_000):
+        named.follow(began + 300_000, np.zeros(6))
+        assert away(named) < 0.005
+        named.begin(began + 300_000)  # an episode, which ends with the thumb turned away
+        named.tell({"time": 0.0, "offset": [0.0, 0.0, 0.0]})
+        named.follow(began + 700_000, pulses_from_servo(np.zeros(6)))
+        named.follow(began + 900_000, np.zeros(6))
+        named.tidy_up(named.state())
 
 
-def test_an_object_that_a_program_has_pushed_aside_is_back_once_the_hand_has_no_pulses():
+def test_an_object_that_a_program_has_pushed_aside_is_back_once_the_hand_has_no_pulses(named):
     """As by arming a hand whose thumb lies on the other side of it."""
     open_hand = pulses_from_servo(np.zeros(6))
-    with make_env(GRASP, engine="mujoco", body="light", grasp="small_cylinder") as made:
-        body = Body(made.unwrapped, 0, scene(made.unwrapped, GRASP, None))
-        for now in range(20_000, 2_000_000, 20_000):
-            body.follow(now, open_hand)
-            body.tidy_up(body.state())
-        away = np.linalg.norm(body.state().object_pos[0] - body.setup.position)
-        assert away > 0.015, "it is left where it lies while a program drives the hand"
-        for now in range(2_000_000, 2_200_000, 20_000):
-            body.follow(now, np.zeros(6))
-            body.tidy_up(body.state())
-        assert np.linalg.norm(body.state().object_pos[0] - body.setup.position) < 0.005
+    for now in range(20_000, 2_200_000, 20_000):
+        if now == 2_000_000:
+            assert away(named) > 0.015, "it is left where it lies while a program drives the hand"
+        named.follow(now, open_hand if now < 2_000_000 else 0 * open_hand)
+        named.tidy_up(named.state())
+    assert away(named) < 0.005
 
 
 @pytest.fixture
@@ -446,24 +421,27 @@ def test_a_body_lifts_its_wrist_when_it_is_told_and_stands_again_after_the_episo
     assert body.outcome == RUNNING
 
 
-@pytest.mark.parametrize("lost", [False, True])
-def test_a_hand_that_is_left_closed_by_a_stop_is_opened_and_its_object_put_back(body, lost):
-    place = body.setup.position
+def test_a_hand_that_is_left_closed_by_a_stop_is_opened_and_its_object_put_back(body):
     closed = pulses_from_servo(np.full(6, 0.8))
     body.begin(0)
     body.tell({"time": 0.0, "offset": [0.0, 0.0, 0.0]})
     body.follow(400_000, closed)
-    if lost:
-        body.setup = replace(body.setup, position=np.array([0.9, 0.0, 0.1]))
-        body.place(body.setup, body.state().horn[0])
-        body.setup = replace(body.setup, position=place)
     for now in range(800_000, OPENED_AFTER_US + 1_000_000, 400_000):
         was_closed = body.state().horn[0].max() > 0.5
         body.follow(now, 0 * closed)
         body.tidy_up(body.state())
     assert was_closed
     assert body.state().horn[0, :5].max() < 0.05
-    np.testing.assert_allclose(body.state().object_pos[0], place, atol=0.002)
+    assert away(body) < 0.002
+
+
+def test_an_object_that_is_lost_is_back_also_while_something_drives_the_hand(body):
+    setup = body.setup
+    body.place(replace(setup, position=np.array([0.9, 0.0, 0.1])))
+    body.setup = setup
+    body.follow(20_000, pulses_from_servo(np.zeros(6)))
+    body.tidy_up(body.state())
+    assert away(body) < 0.002
 
 
 def test_a_hand_whose_object_is_put_back_stays_as_its_servos_have_it(env):
@@ -476,18 +454,14 @@ def test_a_hand_whose_object_is_put_back_stays_as_its_servos_have_it(env):
     np.testing.assert_allclose(body.state().horn[0], horn, atol=1e-6)
 
 
-def test_servos_look_at_their_pulses_every_20_ms(body):
+def test_servos_look_at_their_pulses_every_20_ms_and_stay_without_any_while_the_time_goes_on(body):
     wide = pulses_from_servo(np.full(6, 0.5))
     body.follow(0, pulses_from_servo(np.zeros(6)))
     body.follow(LATCH_US - 1_000, wide)
     assert body.state().horn[0, :5].max() < 0.01
     body.follow(2 * LATCH_US - 1, wide)
     assert 0.05 < body.state().horn[0, :5].max() <= 0.5  # 8 rad/s for 20 ms
-
-
-def test_without_pulses_the_hand_stays_and_the_time_goes_on(body):
-    body.follow(0, pulses_from_servo(np.full(6, 0.5)))
-    body.follow(300_000, np.zeros(6))
+    body.follow(300_000, 0 * wide)
     np.testing.assert_allclose(body.state().horn[0], 0.5, atol=0.01)
     assert body.state().time[0] == pytest.approx(0.3, abs=0.01)
 
@@ -552,9 +526,9 @@ def test_a_wire_loses_damages_and_delays_whole_frames():
     assert len(order) == 49
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [
+def test_what_is_no_packet_moves_no_arm(hand, program):
+    program.settimeout(5)
+    for wrong in (
         b"\xff",
         b"{}",
         b"[]",
@@ -576,15 +550,11 @@ def test_a_wire_loses_damages_and_delays_whole_frames():
                 ("1", "7"),
             )
         ),
-    ],
-    ids=range(16),
-)
-def test_what_is_no_packet_moves_no_arm(hand, program, wrong):
-    program.send(READY)
-    program.send(wrong)
-    hand._hear(0)
-    program.settimeout(5)
-    assert json.loads(program.recv(4096)) == {"hpac_arm": 1, "ready": True}
-    assert hand.body._began_us is None
-    assert hand.body._path._told == {}
+    ):
+        program.send(READY)
+        program.send(wrong)
+        hand._hear(0)
+        assert json.loads(program.recv(4096)) == {"hpac_arm": 1, "ready": True}
+        assert hand.body._began_us is None, wrong
+        assert not hand.body._path._told, wrong
     hand.turn()
