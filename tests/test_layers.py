@@ -152,7 +152,7 @@ def test_one_module_imports_the_engines_and_only_once_it_is_asked():
 
 
 def test_what_names_no_engine_imports_without_one():
-    rooms = ("model", "body", "bridge", "calibration", "physics", "tasks", "envs")
+    rooms = ("model", "body", "bridge", "calibration", "physics", "tasks", "envs", "deploy")
     names = [
         name
         for name in PACKAGE

@@ -6,10 +6,11 @@ import io
 import json
 import os
 import re
+import shutil
 import signal
 import sys
 import time
-from contextlib import closing, nullcontext
+from contextlib import closing, nullcontext, redirect_stderr, redirect_stdout
 from dataclasses import asdict, replace
 from itertools import chain, count, repeat
 from pathlib import Path
@@ -44,7 +45,7 @@ from hpac_gym.tasks.cameras import CameraNoise
 from hpac_gym.tasks.grasp_type_data import GRASP_TYPES
 from hpac_gym.view.page import HandPage
 from tests.options import refused
-from tests.processes import python, started, wait_for
+from tests.processes import started, wait_for
 
 CAN = object_of("cylinder:0.02,0.05")
 PLACE = Pose(np.array([0.05, 0.005, 0.11]))
@@ -98,11 +99,19 @@ def told(capsys, *words, command="deploy"):
     return status, capsys.readouterr()
 
 
+@pytest.fixture(scope="module")
+def deployed_once(tmp_path_factory):
+    """A deployment: its log, and what it told on standard output and standard error."""
+    made = tmp_path_factory.mktemp("deployed") / "log.jsonl"
+    with redirect_stdout(io.StringIO()) as out, redirect_stderr(io.StringIO()) as err:
+        assert hpac.main(["deploy", *WORDS, *VIRTUAL, "--log", f"{made}"]) == 0
+    return made, out.getvalue(), err.getvalue()
+
+
 @pytest.fixture
-def log(path, capsys):
-    """The log of a deployment."""
-    assert told(capsys, *WORDS, *VIRTUAL, "--log", path)[0] == 0
-    return path
+def log(deployed_once, path):
+    """A copy of the log of a deployment."""
+    return Path(shutil.copy(deployed_once[0], path))
 
 
 # --- the observer
@@ -115,7 +124,7 @@ def test_an_observer_sees_what_the_environment_observes(name, options):
     quiet = {"position": 0.0, "angle": 0.0, "size": 0.0}
     env = gymnasium.make(name, engine="mujoco", noise=quiet, **options).unwrapped
     rng = np.random.default_rng(0)
-    for seed in range(3):
+    for seed in range(2):
         seen, _ = env.reset(seed=seed)
         setup = env.episodes.setups[0]
         observer = Observer(name, setup.object, **options)
@@ -123,26 +132,17 @@ def test_an_observer_sees_what_the_environment_observes(name, options):
         observer.start()
         seen_at = env.slices.get("object_seen")  # of the camera of `GRASP_ANY` alone
         over = False
-        for _ in range(20):
+        while observer.step < 20 and not over:
             state = env.state
             turn = Rotation.from_matrix(state.object_rotation[0]).as_quat()
             mine = observer.see(Pose(state.object_pos[0], tuple(turn)))
             if seen_at is None or seen[seen_at][0] == 1.0:
                 np.testing.assert_allclose(mine, seen, atol=2e-3 if name != GRASP else 1e-6)
-            if over:
-                break
             action = rng.uniform(-1, 1, env.action_space.shape).astype(np.float32)
             observer.command(action)
             seen, _, over, _, _ = env.step(action)
             observer.sent(env.command.servo)
     env.close()
-
-
-def test_an_upright_object_is_what_the_environment_shows():
-    with gymnasium.make(GRASP, engine="mujoco") as env:
-        env.reset(seed=1)  # a cylinder: its yaw does not show
-        up = env.unwrapped.state.object_rotation[0, :, 2]
-    np.testing.assert_allclose(Rotation.from_quat(UPRIGHT).as_matrix()[:, 2], up, atol=1e-6)
 
 
 @pytest.mark.parametrize("name", TASKS)
@@ -152,6 +152,8 @@ def test_a_pose_without_a_quaternion_is_upright_for_a_hand_that_looks_down_too(n
     seen = observer.see(pose)
     up, down = (seen[observer._layout.slices[part]] for part in ("object_up", "down"))
     np.testing.assert_allclose(up, -down, atol=1e-6)
+    if name == GRASP:
+        assert observer.turned(pose).quaternion == UPRIGHT
 
 
 def test_an_episode_of_an_observer_leaves_nothing_to_the_next():
@@ -162,17 +164,6 @@ def test_an_episode_of_an_observer_leaves_nothing_to_the_next():
         observer.command(np.array([0.0] * 6 + [0.5, 0.5, 0.5, 1.0]))
         course.append((observer.setup.yaw, observer._setup.yaw, *observer._setup.position))
     assert course[0] == course[1]
-
-
-def test_an_observer_needs_no_engine_and_no_torch():
-    script = """
-import sys
-from hpac_gym.deploy import commands
-from hpac_gym.policies.loading import load_policy
-policy = load_policy("grasp", commands.Observer("HPAC-Grasp-v0", commands.object_of("sphere:0.03")))
-print(sorted({"torch", "mujoco", "pybullet", "matplotlib"} & set(sys.modules)))
-"""
-    assert python("-c", script).stdout == "[]\n"
 
 
 # --- poses
@@ -192,7 +183,6 @@ def test_sources_are_told_by_their_text(tmp_path):
         pose, age = recorded.latest()
         assert (pose.position[0], age) == (0.06, pytest.approx(0.2))
         recorded.begin()
-        ("udp:99999", r"udp:99999: .*port must be 0-65535.?$"),
 
 
 @pytest.mark.parametrize(
@@ -205,6 +195,7 @@ def test_sources_are_told_by_their_text(tmp_path):
         ("somewhere", "is not x,y,z in m, with or without a quaternion, nor udp:PORT, nor a .csv"),
         ("/none.csv", "poses /none.csv: No such file"),
         ("udp:²", "'udp:²' is not x,y,z in m"),
+        ("udp:99999", r"udp:99999: .*port must be 0-65535.?$"),
     ],
 )
 def test_a_source_that_is_none_is_one_line(text, says):
@@ -313,13 +304,10 @@ def test_a_dry_run_prints_every_entry_and_moves_nothing(capsys):
     assert said.out.endswith("dry run: nothing was sent\n")
 
 
-def test_an_object_beside_where_the_task_draws_it_is_told(capsys):
-    beside = (*WORDS[:4], "0,0,0")
-    with pytest.warns(UserWarning, match=r"z = 0\.000 m in .*draws it at 0\.09. to 0\.1.. m"):
-        assert told(capsys, *beside, "--dry-run")[0] == 0
-
-
-def test_a_policy_that_places_the_wrist_tells_a_person_where(path, capsys, monkeypatch):
+def test_a_policy_that_places_the_wrist_tells_a_person_where_and_its_log_is_played(
+    path, capsys, monkeypatch
+):
+    """With the options that it needs of its environment."""
     keys, enter = os.pipe()
     os.write(enter, b"\n")
     monkeypatch.setattr("sys.stdin", os.fdopen(keys))
@@ -332,6 +320,9 @@ def test_a_policy_that_places_the_wrist_tells_a_person_where(path, capsys, monke
     for line, name, value in zip(lines, ("x", "y", "z", "yaw"), first["action"][6:], strict=False):
         assert line == f"arm: the policy places wrist_{name} {value:+.2f}"
     assert lines[4] == "the object is seen; Enter: the hand stands there, close"
+    status, said = told(capsys, path, command="replay")
+    assert (status, said.err) == (0, "")
+    assert said.out.startswith("grasp-any-wrist on virtual, 144 steps, ended: done")
 
 
 def test_an_enter_that_was_typed_before_the_question_is_none(monkeypatch):
@@ -367,17 +358,11 @@ def test_without_a_standard_input_nobody_is_waited_for(monkeypatch, capsys, tmp_
     assert "standard input is closed" in refused(capsys, lambda: hpac.main(words))
 
 
-class Gone(io.StringIO):
-    """A terminal that is no more."""
-
-    def isatty(self):
-        return True
-
-    def write(self, text):
-        raise BrokenPipeError
+GONE = Mock(isatty=lambda: True, write=Mock(side_effect=BrokenPipeError))
+"""A terminal that is no more."""
 
 
-@pytest.mark.parametrize("stderr", [None, Gone()], ids=["closed", "gone"])
+@pytest.mark.parametrize("stderr", [None, GONE], ids=["closed", "gone"])
 def test_an_episode_that_nobody_follows_goes_on(stderr, path, capsys, monkeypatch):
     monkeypatch.setattr("sys.stderr", stderr)
     status, said = told(capsys, *WORDS, *VIRTUAL, "--log", path)
@@ -387,11 +372,10 @@ def test_an_episode_that_nobody_follows_goes_on(stderr, path, capsys, monkeypatc
     assert "done: 64 commands" in said.out
 
 
-def test_an_episode_leaves_a_log_and_a_hand_without_pulses(path, capsys):
-    status, said = told(capsys, *WORDS, *VIRTUAL, "--log", path)
-    assert status == 0, said.err
-    assert "64 commands, 64 acknowledged, 0 late, 0 lost, 0 refused" in said.out
-    assert said.err.splitlines() == ["to the start posture", "holds for 2 s", "opens"]
+def test_an_episode_leaves_a_log_and_tells_what_it_does(deployed_once):
+    path, out, err = deployed_once
+    assert "64 commands, 64 acknowledged, 0 late, 0 lost, 0 refused" in out
+    assert err.splitlines() == ["to the start posture", "holds for 2 s", "opens"]
     head, *steps, end = map(json.loads, path.read_text().splitlines())
     assert (head["hpac_deploy"], head["env_id"], end["end"]) == (1, GRASP, "done")
     assert len(steps) == 64
@@ -401,34 +385,26 @@ def test_an_episode_leaves_a_log_and_a_hand_without_pulses(path, capsys):
     assert path.with_name("log.wire.jsonl").exists()
 
 
-def test_the_page_of_a_deployment_tells_of_a_stop_that_nobody_confirmed(link, monkeypatch):
+def test_the_page_of_a_deployment_shows_the_hand_by_its_file_and_a_stop_that_nobody_confirmed(
+    link, monkeypatch
+):
     page = create_autospec(HandPage)
     monkeypatch.setattr("hpac_gym.deploy.watching.HandPage", page)
-
-    def shown():
-        return [one.args[0].text for one in page.return_value.show.mock_calls]
-
-    link.status()
     monkeypatch.setattr(link, "estop", Mock(side_effect=LinkTimeout("no answer to estop")))
-    with watched(link, Observer(GRASP, CAN).setup, HPAC):
-        wait_for(lambda: "before or after the episode; idle" in shown())
+    link.status()
+    hand = replace(HPAC, calibration=Calibration(servo_zero=(0.3,) * 6))
+    pictures = page.return_value.show.mock_calls
+    with watched(link, Observer(GRASP, CAN).setup, hand):
+        wait_for(lambda: pictures)
+        first = pictures[0].args[0]
         _, _, stop = page.call_args.args
         stop()
         told = "Stop NOT CONFIRMED: switch the supply off. no answer to estop. before"
-        wait_for(lambda: shown()[-1].startswith(told))
-
-
-def test_the_page_of_a_deployment_shows_a_calibrated_hand_by_its_file(link, monkeypatch):
-    page = create_autospec(HandPage)
-    monkeypatch.setattr("hpac_gym.deploy.watching.HandPage", page)
-    link.status()
-    hand = replace(HPAC, calibration=Calibration(servo_zero=(0.3,) * 6))
-    with watched(link, Observer(GRASP, CAN).setup, hand):
-        wait_for(lambda: page.return_value.show.called)
-    shown = page.return_value.show.call_args.args[0]
-    expected = settled_joints_from_servo(shown.servo, hand, FLEXION)
+        wait_for(lambda: pictures[-1].args[0].text.startswith(told))
+    assert first.text == "before or after the episode; idle"
+    expected = settled_joints_from_servo(first.servo, hand, FLEXION)
     assert np.abs(expected).max() > 0.1
-    np.testing.assert_allclose(shown.joint_pos, expected, atol=5e-3)
+    np.testing.assert_allclose(first.joint_pos, expected, atol=5e-3)
 
 
 def test_a_log_is_kept_from_the_next_deployment_that_names_it(log, capsys):
@@ -612,20 +588,10 @@ def remote(udp):
         yield made
 
 
-def test_an_arm_is_told_every_phase_and_says_when_it_is_ready(link, remote, udp):
-    answers = [b"what?", b"[" * 4000, b'{"hpac_arm": 1, "ready": true}']
-
-    def wait(_):
-        data, address = udp.recvfrom(4096)
-        assert json.loads(data)["phase"] == "ready"
-        udp.sendto(answers.pop(0), address)
-        time.sleep(0.01)
-
+def test_an_arm_is_told_every_phase(link, remote, udp):
     observer = Observer(GRASP, CAN)
-    policy = load_policy("grasp", observer)
-    remote.ready(wait, {"phase": "ready"})
-    assert not answers
     remote.ready = lambda *_: None
+    policy = load_policy("grasp", observer)
     episode(link, policy, arm=remote, observer=observer, hold=0.0)
     told = [json.loads(udp.recv(4096)) for _ in range(observer.steps)]
     assert list(dict.fromkeys(packet["phase"] for packet in told)) == list(observer.task.phases)
@@ -633,18 +599,21 @@ def test_an_arm_is_told_every_phase_and_says_when_it_is_ready(link, remote, udp)
     assert max(packet["offset"][2] for packet in told) == pytest.approx(0.14, abs=0.002)
 
 
-def test_an_answer_of_the_arm_to_an_earlier_question_is_none(remote, udp):
-    waited = []
+def test_an_arm_says_when_it_is_ready_and_an_answer_to_an_earlier_question_is_none(remote, udp):
+    ready = b'{"hpac_arm": 1, "ready": true}'
+    # The third answer comes twice, since it is slow.
+    answers = [[b"what?"], [b"[" * 4000], [ready, ready], [], [b'{"hpac_arm": 2}'], [ready]]
 
     def wait(_):
-        waited.append(udp.recvfrom(4096)[1])
-        for _ in range({1: 2, 4: 1}.get(len(waited), 0)):  # twice, since it is slow
-            udp.sendto(b'{"hpac_arm": 1, "ready": true}', waited[-1])
+        data, address = udp.recvfrom(4096)
+        assert json.loads(data)["phase"] == "ready"
+        for answer in answers.pop(0):
+            udp.sendto(answer, address)
         time.sleep(0.01)
 
-    for _ in range(2):
+    for left in (3, 0):
         remote.ready(wait, {"phase": "ready"})
-    assert len(waited) == 4
+        assert len(answers) == left
 
 
 def test_the_hand_is_preshaped_before_the_arm_is_asked_and_a_recording_begins_then(hand, link):
@@ -666,25 +635,22 @@ def test_the_hand_is_preshaped_before_the_arm_is_asked_and_a_recording_begins_th
 
 
 def test_a_policy_holds_through_the_whole_wire_what_it_holds_in_the_environment():
-    rows = deployed.pairs("grasp", ["all three"], range(3_000_000, 3_000_012))
+    rows = deployed.pairs("grasp", ["all three"], range(3_000_000, 3_000_008))
     alone, held, sent, refused, lost = (sum(row[i] for row in rows) for i in range(1, 6))
-    assert alone >= 9
-    for axes in replay.save.call_args.args[0].axes:
-        assert axes.get_legend().get_window_extent().x0 > axes.get_window_extent().x1
-    assert held >= alone - 3
-    assert (sent, refused) == (12 * 64, 0)
+    assert alone >= 5
+    assert held >= alone - 2
+    assert (sent, refused) == (8 * 64, 0)
     assert lost > 0
 
 
 def test_through_the_wire_the_first_look_is_that_of_the_environment():
     with gymnasium.make(GRASP, engine="mujoco", noise=asdict(deployed.NOISE)) as made:
         env = made.unwrapped
-        for seed in range(6):
+        for seed in range(3):
             seen, _ = env.reset(seed=seed)
             world = deployed.LockStep(env, seed, noise=CameraNoise(0.0, 0.0, 0.0))
             observer = Observer(GRASP, world.seen_object)
-            observer.setup = replace(world.body.setup, object=world.seen_object)
-            observer.start()
+            observer.start(world.body.setup)
             eye = deployed.Eye(env, world)
             np.testing.assert_allclose(observer.see(eye.latest()[0]), seen, atol=2e-3)
             exact = observer.see(world.latest()[0])
@@ -712,6 +678,8 @@ def test_a_log_is_played_beside_a_simulation_and_no_legend_lies_on_a_curve(
     assert float(lines[1].split()[3]) < 0.05  # a little speed is left for early frames
     assert "the simulation: success" in lines[3]
     assert picture.stat().st_size > 10_000
+    for axes in replay.save.call_args.args[0].axes:
+        assert axes.get_legend().get_window_extent().x0 > axes.get_window_extent().x1
 
 
 def test_the_simulation_has_the_object_turned_as_it_was_seen(monkeypatch):
@@ -726,32 +694,17 @@ def test_the_simulation_has_the_object_turned_as_it_was_seen(monkeypatch):
     np.testing.assert_allclose(found, turn.as_matrix(), atol=0.02)
 
 
-def test_what_a_policy_needed_of_its_environment_is_played_too(path, capsys, monkeypatch):
-    monkeypatch.setattr("hpac_gym.deploy.arm.Person.ready", lambda *_: None)
-    words = ("grasp-any-wrist", *WORDS[1:], *VIRTUAL, "--arm", "enter", "--log", path)
-    assert told(capsys, *words)[0] == 0
-    status, said = told(capsys, path, command="replay")
-    assert (status, said.err) == (0, "")
-    assert said.out.startswith("grasp-any-wrist on virtual, 144 steps, ended: done")
-
-
-def test_an_object_of_a_file_is_deployed_with_the_arguments_of_set_and_played_with_them(
+def test_an_object_of_a_file_and_a_calibrated_hand_are_played_as_they_were_deployed(
     path, tmp_path, capsys
 ):
     mesh = f"{tmp_path}/block.stl"
     trimesh.creation.box((40.0, 40.0, 100.0)).export(mesh)
+    file = tmp_path / "hand.toml"
+    file.write_text(hand_to_toml(replace(HPAC, calibration=Calibration(servo_zero=(0.3,) * 6))))
     words = ("grasp", "--object", mesh, "--set", "object.mass=0.3", "--set", "object.scale=0.001")
-    assert told(capsys, *words, *WORDS[3:], *VIRTUAL, "--log", path)[0] == 0
+    assert told(capsys, *words, *WORDS[3:], *VIRTUAL, "--log", path, "--model", file)[0] == 0
     head, *_ = path.read_text().splitlines()
     assert json.loads(head)["object"] == {"path": mesh, "mass": 0.3, "scale": 0.001}
-    assert told(capsys, path, command="replay")[0] == 0
-
-
-def test_a_calibrated_hand_is_played_as_it_was_deployed(path, capsys, tmp_path):
-    file = tmp_path / "hand.toml"
-    text = hand_to_toml(replace(HPAC, calibration=Calibration(servo_zero=(0.3,) * 6)))
-    file.write_text(text)
-    assert told(capsys, *WORDS, *VIRTUAL, "--log", path, "--model", file)[0] == 0
     file.unlink()
     status, said = told(capsys, path, command="replay")
     assert (status, said.err) == (0, "")
@@ -759,7 +712,7 @@ def test_a_calibrated_hand_is_played_as_it_was_deployed(path, capsys, tmp_path):
 
 
 def test_nothing_is_compared_after_the_end_of_the_simulation(path, capsys):
-    with pytest.warns(UserWarning, match="PickPlace-v0 draws it at"):
+    with pytest.warns(UserWarning, match=r"= 0\.\d* m in .*PickPlace-v0 draws it at 0\.\d* to 0"):
         assert told(capsys, "pick-place", *WORDS[1:], *VIRTUAL, "--log", path)[0] == 0
     status, said = told(capsys, path, command="replay")
     assert (status, said.err) == (0, "")
