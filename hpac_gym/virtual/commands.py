@@ -10,17 +10,23 @@ import time
 from contextlib import ExitStack, closing, suppress
 from dataclasses import fields, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from hpac_gym.body.geometry import HPAC_GEOMETRY
+from hpac_gym.body.hands import hand_set
 from hpac_gym.bridge import HostBoard, pulses_from_servo
 from hpac_gym.command import add_json, ended_as_by_ctrl_c, say, seconds, whole_number
+from hpac_gym.deploy.commands import object_of
+from hpac_gym.envs.randomization import PRESETS
 from hpac_gym.errors import ParameterError
+from hpac_gym.evaluation.environment import make_env
+from hpac_gym.model import DIGITS, HPAC, SERVOS, synergy_from_servo
 from hpac_gym.physics.engine import SceneSetup
-from hpac_gym.registration import GRASP
+from hpac_gym.registration import GRASP, GRASP_ANY, PICK_PLACE
 from hpac_gym.virtual.body import Body
 from hpac_gym.virtual.hand import POSE_HZ, Tracker, Virtual
-from hpac_gym.virtual.scene import POLICIES, add_scene, revealed, scene, scene_env
 from hpac_gym.virtual.wire import Faults, Relay
 
 ABOUT = "A virtual hand: the real firmware, whose pulses drive a simulated body."
@@ -30,6 +36,14 @@ ABOUT_PLAY = (
 )
 OUT_OF_REACH = np.array([0.35, 0.0, 0.12])
 """Place of the object while the hand is swept, in the hand's frame [m]."""
+POLICIES = {GRASP: "grasp", GRASP_ANY: "grasp-any", PICK_PLACE: "pick-place"}
+"""Environments whose scenes there are, and the shipped policy of each."""
+CAN = "cylinder:0.02,0.05"
+"""The object where nothing else is asked for."""
+IN_REACH = (0.0285, 0.0, 0.12)
+"""Place of the palm's side of the object in the hand's frame, without a seed [m]; chosen: the thumb
+does not touch a can there on its way, and the policy, and five digits that close together, hold it.
+"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -73,6 +87,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(run=run)
 
 
+def add_scene(parser: argparse.ArgumentParser) -> None:
+    """The arguments of a scene."""
+    parser.add_argument(
+        "--env", default=GRASP, choices=POLICIES, metavar="ID", help=f"scene ({GRASP})"
+    )
+    parser.add_argument("--grasp", metavar="NAME", help="scene of one of the sixteen named grasps")
+    parser.add_argument(
+        "--object",
+        metavar="SHAPE:M,M",
+        help=f"the object ({CAN}; with --seed one that is drawn)",
+    )
+    parser.add_argument(
+        "--seed", type=whole_number(0), help="draw a hand that is not the nominal one, and a scene"
+    )
+
+
 def run(options: argparse.Namespace) -> int:
     """Be a hand until Ctrl-C."""
     if options.heat > 100:
@@ -93,8 +123,9 @@ def run(options: argparse.Namespace) -> int:
         if faults != Faults() or options.reset_on_open:
             relay = Relay(board, faults, options.seed or 0, options.reset_on_open)
             stack.enter_context(closing(relay))
-        ports = (options.arm_port, options.pose_port)
-        hand = Virtual(body, board, relay, *ports, options.blind, options.json)
+        hand = Virtual(
+            body, board, relay, options.arm_port, options.pose_port, options.blind, options.json
+        )
         stack.enter_context(closing(hand))
         if options.angles:
             hand.tracker = stack.enter_context(Tracker(options.angles))
@@ -171,3 +202,79 @@ def play(options: argparse.Namespace) -> int:
                 page.show(Shown.of_state(state, servo))
             time.sleep(1 / POSE_HZ)
     return 0
+
+
+# The scene ----------------------------------------------------------------
+
+
+def scene_env(options: argparse.Namespace) -> Any:
+    """The environment of a scene."""
+    more: dict[str, Any] = {}
+    if options.env != GRASP and (options.grasp or options.object):
+        raise ParameterError(
+            f"--grasp and --object are of {GRASP}; {options.env} has its own object"
+        )
+    if options.grasp:
+        more["grasp"] = options.grasp
+    if options.object or (options.env == GRASP and not options.grasp and options.seed is None):
+        more["object"] = object_of(options.object or CAN)
+    return make_env(options.env, engine="mujoco", body="light", **more)
+
+
+def scene(env: Any, env_id: str, seed: int | None) -> SceneSetup:
+    """The scene of a seed, with the hand open and the thumb turned as the task has it; a seed hides a
+    hand from the set ``train`` in it, whose friction is drawn as by the randomization ``hand``.
+    """
+    env.reset(seed=seed or 0)
+    setup = env.episodes.setups[0]
+    if env_id != GRASP:  # an `Observer` has drawn the same orientation and target
+        drawn = env.task.setup(np.random.default_rng(0), HPAC)
+        setup = replace(drawn, hand_settings=setup.hand_settings)
+    if seed is not None:
+        rng = np.random.default_rng([seed, 7])
+        variants = hand_set("train")
+        variant = variants[rng.integers(len(variants))]
+        ranges = PRESETS["hand"]
+        settings = replace(
+            variant.over(setup.hand_settings),
+            joint_friction=rng.uniform(*ranges.joint_friction),
+            contact_friction=setup.hand_settings.contact_friction
+            * rng.uniform(*ranges.skin_friction),
+        )
+        setup = replace(setup, hand=variant.hand, geometry=variant.geometry, hand_settings=settings)
+    elif env_id == GRASP and setup.object.model is None:
+        x, y, z = IN_REACH
+        setup = replace(setup, position=np.array([x + setup.object.half_extents[0], y, z]))
+    hand = setup.hand
+    synergy = synergy_from_servo(np.clip(0.0, hand.servo_min, hand.servo_max), hand)
+    synergy[-1] = np.clip(setup.synergy[-1], hand.synergy_min[-1], hand.synergy_max[-1])
+    return replace(setup, synergy=synergy)
+
+
+def revealed(seed: int | None, setup: SceneSetup) -> str:
+    """What was drawn, in words."""
+    item = setup.object
+    lines = [
+        f"object: {item.shape}, half sizes {[round(1e3 * x, 1) for x in item.half_extents]} mm, "
+        f"{1e3 * item.mass:.0f} g, friction {item.friction:.2f}"
+    ]
+    if seed is None:
+        return "\n".join([*lines, "hand: the nominal one; --seed draws another"])
+    given = setup.hand_settings
+    size = (
+        setup.geometry.digits[2].phalanges[0].length / HPAC_GEOMETRY.digits[2].phalanges[0].length
+    )
+    lines += [
+        f"hand {setup.hand.name}, {size:.0%} of the nominal size, joint friction {1e3 * given.joint_friction:.1f} mN·m, "
+        f"skin friction {given.contact_friction:.2f}",
+        _row("slack [mm]", DIGITS, np.array(given.slack) * 1e3),
+        _row("strength", DIGITS, given.strength),
+        _row("servo zero [deg]", SERVOS, np.degrees(given.servo_zero)),
+    ]
+    return "\n".join(lines)
+
+
+def _row(what: str, names: Any, values: Any) -> str:
+    return f"{what}: " + ", ".join(
+        f"{name} {value:.2g}" for name, value in zip(names, values, strict=True)
+    )
