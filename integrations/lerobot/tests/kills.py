@@ -182,11 +182,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--times", type=int, default=100, help="kills of each script")
     parser.add_argument("--lanes", type=int, default=6, help="hands at once")
     parser.add_argument("--script", choices=SCRIPTS, action="append", help="only this one")
-    parser.add_argument("--out", type=Path, default=Path("runs/kills"), help="a new folder")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("runs/kills"),
+        help="a new folder, or that of earlier runs of other scripts",
+    )
     options = parser.parse_args(arguments)
-    options.out.mkdir(parents=True)
-    untrained_policy(options.out / "policy")
-    undisturbed("record", options.out, options.out)
+    if not options.out.exists():
+        options.out.mkdir(parents=True)
+        untrained_policy(options.out / "policy")
+        undisturbed("record", options.out, options.out)
     print("script       killed  with pulses  off  longest [s]  signals", flush=True)
     good = True
     for script in options.script or SCRIPTS:

@@ -90,6 +90,8 @@ def test_landmarks_come_by_udp_and_a_silent_tracker_opens_the_hand():
     hand = made("hpac_landmarks", port=0, oldest=0.3)
     hand.connect()
     assert values(hand) == pytest.approx(-np.ones(6))
+    with pytest.raises(DeployError, match=f"UDP port {hand.port}"):
+        made("hpac_landmarks", port=hand.port).connect()
     synergy = synergy_from_action(np.array([0.5, 0.2, -0.3, 0.9, 0.0, 0.4]))
     packet = {"hpac_landmarks": 1, "points": landmarks(synergy).tolist()}
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as tracker:
@@ -112,14 +114,6 @@ def test_landmarks_come_by_udp_and_a_silent_tracker_opens_the_hand():
     assert hand.refused == 6
     time.sleep(0.4)
     assert values(hand) == pytest.approx(-np.ones(6))
-    hand.disconnect()
-
-
-def test_a_port_that_is_taken_is_told():
-    hand = made("hpac_landmarks", port=0)
-    hand.connect()
-    with pytest.raises(DeployError, match=f"UDP port {hand.port}"):
-        made("hpac_landmarks", port=hand.port).connect()
     hand.disconnect()
 
 
@@ -150,18 +144,15 @@ def test_keys_close_and_open(monkeypatch):
     keys = made("hpac_keyboard", step=0.25)
     keys.connect()
     (press,) = heard
-    for key in "sshwwwwX":
-        press(key)
-    wanted = [0.0, 0.5, 0.0, 0.0, 0.0, -0.75]
-    assert values(keys) == pytest.approx(wanted)
-    for key in (*"SSWWWWWWWWWWWWWWWWW", "up", "n"):
-        press(key)
-    assert values(keys) == pytest.approx([-1, -1, -1, -1, -1, -0.75])
-    for key in "h" * 20:
-        press(key)
-    assert values(keys)[5] == 1.0  # clipped
-    press("space")
-    assert values(keys) == pytest.approx(-np.ones(6))
+    for pressed, wanted in (
+        ("sshwwwwX", [0.0, 0.5, 0.0, 0.0, 0.0, -0.75]),
+        ((*"SSWWWWWWWWWWWWWWWWW", "up", "n"), [-1, -1, -1, -1, -1, -0.75]),
+        ("h" * 20, [-1, -1, -1, -1, -1, 1]),  # clipped
+        (("space",), [-1] * 6),
+    ):
+        for key in pressed:
+            press(key)
+        assert values(keys) == pytest.approx(wanted)
     keys.disconnect()
 
 
