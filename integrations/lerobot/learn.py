@@ -4,8 +4,6 @@ A shipped policy grasps drawn objects; the episodes in which it holds them are r
 trains a small ACT on them, without pictures, which then grasps other objects, as does the shipped policy.
 Everything passes the robot, the wire and the firmware core, in virtual time."""
 
-from __future__ import annotations
-
 import argparse
 import subprocess
 import sys
@@ -19,9 +17,10 @@ from lerobot.common.control_utils import predict_action
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
 from lerobot.policies.act.modeling_act import ACTPolicy
 from lerobot.policies.factory import make_pre_post_processors
-from lerobot_robot_hpac import EnvironmentStateStep, Hpac, HpacConfig, features, robot
-from lerobot_robot_hpac.features import ACTIONS, POSE, PREDICTED, named
+from lerobot_robot_hpac import Hpac, HpacConfig, features, robot
+from lerobot_robot_hpac.features import ACTIONS, POSE, PREDICTED, EnvironmentStateStep, named
 
+from hpac_gym.deploy.episode import decided
 from hpac_gym.deploy.observer import Observer
 from hpac_gym.envs import HandEnv
 from hpac_gym.evaluation.environment import make_env
@@ -70,16 +69,15 @@ def shipped() -> Act:
     loaded: dict[str, object] = {}
 
     def act(_: np.ndarray, world: LockStep, observer: Observer) -> np.ndarray:
-        if observer.step == 0:
+        begins = observer.step == 0
+        if begins:
             loaded["policy"] = load_policy("grasp", observer)
             loaded["memory"] = None
-        seen = observer.see(world.latest()[0])
-        given, loaded["memory"] = loaded["policy"].predict(
-            seen, loaded["memory"], np.array([observer.step == 0])
+        pose, _ = world.latest()
+        _, action, _, loaded["memory"] = decided(
+            loaded["policy"], observer, pose, loaded["memory"], begins
         )
-        action = np.clip(given, -1, 1).astype(np.float32)
-        observer.command(action)
-        return action
+        return action.astype(np.float32)
 
     return act
 

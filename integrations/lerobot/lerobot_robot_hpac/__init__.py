@@ -3,7 +3,7 @@
 
 LeRobot imports this package by its name and finds the classes by the names of their settings."""
 
-from lerobot_robot_hpac.processor import EnvironmentStateStep
+from lerobot_robot_hpac.features import EnvironmentStateStep
 from lerobot_robot_hpac.robot import Hpac, HpacConfig
 from lerobot_robot_hpac.teleoperators import (
     HpacKeyboard,

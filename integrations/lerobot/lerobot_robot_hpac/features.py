@@ -4,13 +4,15 @@ LeRobot's rollout passes on only what is called ``….pos`` or ``….vel``, and 
 back as actions when it returns to the initial position: an observation and an action of one name
 are therefore the same quantity, −1 (open) to 1 (closed)."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from lerobot.processor import ObservationProcessorStep, ProcessorStepRegistry
+from lerobot.utils.constants import OBS_ENV_STATE, OBS_STATE
 
 from hpac_gym.deploy.commands import object_of
 from hpac_gym.deploy.errors import PoseError
@@ -34,6 +36,22 @@ _objects: defaultdict[str, list[str | None]] = defaultdict(list)
 
 class ActionError(HpacError, ValueError):
     """An action lacks a servo, or is not finite."""
+
+
+@ProcessorStepRegistry.register(name="hpac_environment_state")
+@dataclass
+class EnvironmentStateStep(ObservationProcessorStep):
+    """A step of a policy's preprocessor that gives what the hand observes also as the environment's
+    state: ACT and diffusion want either that or a picture, and a robot of LeRobot cannot give it.
+    """
+
+    def observation(self, observation: dict[str, Any]) -> dict[str, Any]:
+        """The observation with one more entry."""
+        return {**observation, OBS_ENV_STATE: observation[OBS_STATE]}
+
+    def transform_features(self, features: Any) -> Any:
+        """Which features there are is the policy's own affair."""
+        return features
 
 
 def named(names: Sequence[str], values: Sequence[float]) -> dict[str, float]:

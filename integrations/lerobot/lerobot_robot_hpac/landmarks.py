@@ -4,8 +4,6 @@ Each servo takes the synergy at which the model's digit flexes by as much, all i
 as the human digit; the thumb's CMC takes the angle by which the thumb's metacarpal has left the
 plane of the palm. The H-PAC hand's own landmarks give its own synergies back."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike
 

@@ -4,8 +4,6 @@ LeRobot blocks for seconds: while it saves an episode, or loads a policy. A thre
 last command, but no longer than for a bounded time; the hand opens slowly and is disarmed. The next
 action arms it again and leads it slowly to where it begins."""
 
-from __future__ import annotations
-
 import logging
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
@@ -81,11 +79,9 @@ class Hpac(Robot):
     config_class = HpacConfig
     name = "hpac"
     action_features = dict.fromkeys(ACTIONS, float)
-    """The six actions."""
     is_calibrated = True
     """`hpac calibrate` calibrates a hand, and its file is the setting `hand`."""
     is_connected = False
-    """Whether the port is open."""
 
     def __init__(self, config: HpacConfig) -> None:
         super().__init__(config)

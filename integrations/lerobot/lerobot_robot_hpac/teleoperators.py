@@ -2,11 +2,7 @@
 
 `lerobot-record` stores what a teleoperator gives, so each gives six numbers within −1…1."""
 
-from __future__ import annotations
-
-import json
 import logging
-import socket
 import time
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -20,8 +16,8 @@ from lerobot.utils.keyboard_input import create_key_listener
 
 from hpac_gym.deploy.arm import arm_of
 from hpac_gym.deploy.commands import object_of
-from hpac_gym.deploy.episode import AVERAGED, OLDEST
-from hpac_gym.deploy.errors import MALFORMED, DeployError
+from hpac_gym.deploy.episode import AVERAGED, OLDEST, decided
+from hpac_gym.deploy.errors import MALFORMED, DeployError, packet, udp
 from hpac_gym.deploy.observer import Observer
 from hpac_gym.deploy.poses import averaged
 from hpac_gym.errors import HpacError
@@ -45,13 +41,9 @@ class HpacTeleoperator(Teleoperator):
     """
 
     action_features = dict.fromkeys(ACTIONS, float)
-    """The six actions."""
     feedback_features: ClassVar[dict[str, type]] = {}
-    """None: nothing pushes back."""
     is_calibrated = True
-    """There is nothing to calibrate."""
     is_connected = False
-    """Whether `connect` was called."""
 
     def __init__(self, config: TeleoperatorConfig) -> None:
         super().__init__(config)
@@ -81,7 +73,7 @@ class HpacTeleoperator(Teleoperator):
         """The six actions that are wanted now, within −1…1.
 
         Raises:
-            ActionError: They are not six finite numbers.
+            ActionError: They are not six finite numbers. DeployError: Those of a policy are not.
         """
         return named(ACTIONS, clipped(named(ACTIONS, self._wanted())))
 
@@ -175,10 +167,9 @@ class HpacPolicy(HpacTeleoperator):
                 self._pose, _ = self._source.latest()
             offset = observer.wrist_offset().tolist()
             self._arm.tell({"phase": observer.phase(), "time": step / CONTROL_HZ, "offset": offset})
-            seen = observer.see(self._pose)
-            given, self._memory = self._policy.predict(seen, self._memory, np.array([step == 0]))
-            self._action = clipped(named(ACTIONS, given))
-            target = observer.command(self._action)
+            _, self._action, target, self._memory = decided(
+                self._policy, observer, self._pose, self._memory, begins=step == 0
+            )
             observer.sent(streamed_servo(observer.servo, target, 1 / CONTROL_HZ))
         return self._action
 
@@ -298,12 +289,8 @@ class HpacLandmarks(HpacTeleoperator):
     name = "hpac_landmarks"
 
     def _open(self, stack: ExitStack) -> None:
-        self._socket = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
-        self._socket.setblocking(False)
-        try:
-            self._socket.bind(("127.0.0.1", self.config.port))
-        except (OSError, OverflowError) as error:
-            raise DeployError(f"UDP port {self.config.port}: {error}") from None
+        port = self.config.port
+        self._socket = stack.enter_context(udp(f"UDP port {port}", "127.0.0.1", port, bind=True))
         self.port = self._socket.getsockname()[1]
         self.refused = 0
         self._heard_at = -np.inf
@@ -311,10 +298,8 @@ class HpacLandmarks(HpacTeleoperator):
     def _wanted(self) -> Array:
         while True:
             try:
-                packet = json.loads(self._socket.recv(8192))
-                if packet["hpac_landmarks"] != 1:
-                    raise ValueError(packet["hpac_landmarks"])
-                self._action = action_from_synergy(synergy_from_landmarks(packet["points"]))
+                points = packet(self._socket.recv(8192), "hpac_landmarks")["points"]
+                self._action = action_from_synergy(synergy_from_landmarks(points))
                 self._heard_at = time.monotonic()
             except BlockingIOError:
                 break

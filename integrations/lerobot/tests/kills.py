@@ -6,8 +6,6 @@ evenly from the duration of an undisturbed run, a signal from `SIGNALS`. Each sc
 one process that has imported LeRobot, so that no time goes into imports, in which nothing can happen.
 """
 
-from __future__ import annotations
-
 import argparse
 import atexit
 import json
@@ -28,8 +26,7 @@ from lerobot.policies.act.modeling_act import ACTPolicy
 from lerobot.policies.factory import make_pre_post_processors
 from lerobot.scripts import lerobot_record, lerobot_replay, lerobot_rollout, lerobot_teleoperate
 from lerobot.utils.constants import OBS_ENV_STATE, OBS_STATE
-from lerobot_robot_hpac.features import ACTIONS, PREDICTED
-from lerobot_robot_hpac.processor import EnvironmentStateStep
+from lerobot_robot_hpac.features import ACTIONS, PREDICTED, EnvironmentStateStep
 
 from hpac_gym.bridge import HostBoard
 

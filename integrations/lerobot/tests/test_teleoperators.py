@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from lerobot.teleoperators import TeleoperatorConfig, make_teleoperator_from_config
 from lerobot_robot_hpac import Hpac, HpacConfig, teleoperators
-from lerobot_robot_hpac.features import ACTIONS, ActionError
+from lerobot_robot_hpac.features import ACTIONS
 from lerobot_robot_hpac.landmarks import synergy_from_landmarks
 
 from hpac_gym.body.geometry import HPAC_GEOMETRY, link_poses, rotation_about
@@ -214,7 +214,7 @@ def test_an_action_that_is_no_number_ends_it(monkeypatch):
     hand = made("hpac_policy", policy="scripted", object=CAN, pose=PLACE)
     hand.connect()
     monkeypatch.setattr(hand._policy, "predict", lambda *_: (np.full(6, np.nan), None))
-    with pytest.raises(ActionError):
+    with pytest.raises(DeployError, match="the policy's action must be 6 numbers"):
         hand.get_action()
     hand.disconnect()
 
