@@ -203,8 +203,15 @@ def _dry_run(options: argparse.Namespace, observer: Observer, policy: Any, sourc
     ]
     placed = wrist(action, observer)
     if options.json:
-        commands = {"start_rad": observer.servo.tolist(), "first_command_rad": target.tolist()}
-        say(True, "", observation=entries, servos=SERVOS, **commands, wrist=placed)
+        say(
+            True,
+            "",
+            observation=entries,
+            servos=SERVOS,
+            start_rad=observer.servo.tolist(),
+            first_command_rad=target.tolist(),
+            wrist=placed,
+        )
         return
     for entry in entries:
         print("{name:<14} {label:<18} {value:9.4f}  {unit}".format(**entry))

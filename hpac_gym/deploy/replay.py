@@ -48,8 +48,7 @@ def run(options: argparse.Namespace) -> int:
         require(options.out)
     head, steps, end = read_log(options.log)
     needed = head.get("options", {})
-    model = head.get("model")
-    hand = hand_from_toml(model, str(options.log)) if model else HPAC
+    hand = hand_from_toml(head["model"], f"{options.log}") if head.get("model") else HPAC
     thing = object_of(head["object"])
     observer = Observer(head["env_id"], thing, hand, head["grasp"], **needed)
     sizes = {"t": len(steps), "action": observer.action_space.shape[0], **_SIZES}
