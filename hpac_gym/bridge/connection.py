@@ -26,6 +26,8 @@ from hpac_gym.bridge.reports import HandInfo
 from hpac_gym.bridge.transport import Transport
 
 _HELLO_PERIOD = 0.1
+_TEXT_SHARE = 0.9
+NOISE = "line noise: a shorter cable, away from the servo wires"
 _PREEMPT_PERIOD = 0.02
 _PREEMPT_TIMEOUT = 3.0
 
@@ -144,21 +146,9 @@ class Connection:
     def greet(self, patience: float) -> HandInfo:
         """Send HELLO for up to `patience` [s] and return the answer.
 
-        Raises:
-            HandshakeError: No answer, or not from a hand of this protocol.
-            PortError: The port is gone.
+        Errors as of `greet`.
         """
-        attempts = max(1, math.ceil(patience / _HELLO_PERIOD))
-        try:
-            answer = self.exchange.request("hello", timeout=_HELLO_PERIOD, attempts=attempts)
-        except LinkTimeout:
-            raise _handshake_error(self.exchange, patience) from None
-        if answer.name == "ack":
-            reason = name_of(Reason, answer.number("reason"))
-            raise HandshakeError(
-                f"the device answers HELLO with an ACK ({reason}): it does not run this hand's firmware"
-            )
-        self.info = HandInfo.from_frame(answer)
+        self.info = greet(self.exchange, patience)
         self._learn_fault()
         return self.info
 
@@ -248,14 +238,64 @@ class Connection:
         interrupts.deliver(already_ending)
 
 
-def _handshake_error(exchange: Exchange, patience: float) -> HandshakeError:
-    heard = exchange.splitter
-    if heard.other_version is not None:
-        return HandshakeError(
-            f"the hand speaks protocol {heard.other_version}, this library {VERSION}: update one of them"
+def greet(exchange: Exchange, patience: float, fields: Fields | None = None) -> HandInfo:
+    """Send HELLO for up to `patience` [s] and return the answer.
+
+    Raises:
+        HandshakeError: No answer, or not from a hand of this protocol: what the device is; the first
+            remedy.
+        PortError: The port is gone.
+    """
+    attempts = max(1, math.ceil(patience / _HELLO_PERIOD))
+    received = exchange.statistics.received
+    try:
+        answer = exchange.request("hello", fields, timeout=_HELLO_PERIOD, attempts=attempts)
+    except LinkTimeout:
+        some = "a hand that answers only some messages; " + NOISE
+        partly = exchange.statistics.received > received
+        raise HandshakeError(some if partly else _unlike_a_hand(exchange, patience)) from None
+    return HandInfo.from_frame(require_answer("hello", answer))
+
+
+def require_answer(name: str, answer: Frame) -> Frame:
+    """The answer to a question, which a hand does not answer with an ACK.
+
+    Raises:
+        HandshakeError: It is an ACK.
+    """
+    if answer.name == "ack":
+        reason = name_of(Reason, answer.number("reason"))
+        raise HandshakeError(
+            f"a device that answers {name.upper()} with an ACK ({reason}); flash the hand's firmware of this version"
         )
-    what = f"{len(heard.tail)} bytes received that are no answer" if heard.tail else "silence"
-    what = "an echo of what is sent" if exchange.host_frames else what
-    return HandshakeError(
-        f"no hand answered within {patience:g} s ({what}); run `hpac doctor` for details"
+    return answer
+
+
+def _unlike_a_hand(exchange: Exchange, patience: float) -> str:
+    """What a device is that has not answered HELLO for `patience` [s], and the first remedy."""
+    heard = exchange.splitter.tail
+    if exchange.host_frames:
+        return (
+            f"no hand answers, but an echo: what is sent comes back ({len(heard)} bytes); "
+            "take off a jumper between TX and RX, or switch the device's echo off"
+        )
+    if (version := exchange.splitter.other_version) is not None:
+        return (
+            f"a hand that speaks protocol {version}, this library {VERSION}; "
+            "flash the firmware of this version of hpac_gym, or install the version that the firmware came with"
+        )
+    if not heard:
+        return (
+            f"no hand answers: silence for {patience:g} s; "
+            "is the board powered and flashed with the hand's firmware? see firmware/board/esp32/README.md"
+        )
+    if sum(byte in b"\r\n\t" or 32 <= byte < 127 for byte in heard) >= _TEXT_SHARE * len(heard):
+        line = max(heard.decode("ascii", "replace").split("\n"), key=len).strip()[:60]
+        return (
+            f"no hand answers: text instead of frames ({len(heard)} bytes, such as {line!r}); "
+            "another firmware, or log text on the command port: flash the hand's, or move its console (sdkconfig.defaults)"
+        )
+    return (
+        f"no hand answers: {len(heard)} bytes that are neither frames nor text; "
+        "another baud rate, or noise: check the rate (460,800), ground, and that TX meets RX"
     )

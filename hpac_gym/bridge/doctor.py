@@ -7,19 +7,16 @@ from dataclasses import dataclass
 
 from serial.tools import list_ports
 
+from hpac_gym.bridge.connection import NOISE, greet, require_answer
 from hpac_gym.bridge.errors import HandshakeError, LinkTimeout, PortError
 from hpac_gym.bridge.exchange import Exchange, LinkStatistics
-from hpac_gym.bridge.frame import Frame, FrameSplitter
-from hpac_gym.bridge.protocol import LOAD, VERSION, Reason, name_of
+from hpac_gym.bridge.protocol import LOAD
 from hpac_gym.bridge.reports import HandInfo, HandStatus
 from hpac_gym.bridge.transport import Transport, open_transport
 from hpac_gym.model import HPAC, Hand
 
 _PATIENCE = 3.0
 """Time-out [s]; boards that reset when their port opens need up to 2 s."""
-_ATTEMPT = 0.1
-_TEXT_SHARE = 0.9
-_NOISE = "line noise: a shorter cable, away from the servo wires"
 
 _FAULT_STEPS = {
     "brownout": "the supply sagged: give the servos one of their own, 5 to 6 V, 6 A or more, ground in common; then hpac clear",
@@ -67,72 +64,32 @@ def diagnose(name: str, port: str | Callable[[], Transport], hand: Hand = HPAC) 
     except PortError as error:
         what, _, advice = _without_name(error, name).partition("; ")
         return Finding(name, False, what, advice)
-    exchange = Exchange(transport, LinkStatistics())
     try:
-        attempts = round(_PATIENCE / _ATTEMPT)
-        answer = exchange.request("hello", {"nonce": 0}, timeout=_ATTEMPT, attempts=attempts)
-        if answer.name == "ack":
-            return _refused(name, "HELLO", answer)
-        info = HandInfo.from_frame(answer)
-        if info.state == "armed":
-            what = f"hand with firmware {info.firmware_version}, armed by session {info.session:08x}: left alone"
-            advice = "stop the program that controls it before you start another, or run hpac estop"
-            return Finding(name, True, what, advice)
-        answer = exchange.request("status")
-        if answer.name == "ack":
-            return _refused(name, "STATUS", answer)
-        return _judge(name, info, HandStatus.from_frame(answer), exchange.statistics, hand)
+        return _examined(name, Exchange(transport, LinkStatistics()), hand)
+    except HandshakeError as error:
+        what, _, advice = str(error).rpartition("; ")
+        return Finding(name, False, what, advice)
     except LinkTimeout:
-        if exchange.host_frames:
-            what = f"an echo: what is sent comes back ({len(exchange.splitter.tail)} bytes)"
-            advice = "take off a jumper between TX and RX, or switch the device's echo off"
-            return Finding(name, False, what, advice)
-        if exchange.statistics.received:
-            return Finding(name, False, "a hand that answers only some messages", _NOISE)
-        return _unanswered(name, exchange.splitter)
+        return Finding(name, False, "a hand that answers only some messages", NOISE)
     except PortError as error:
-        return Finding(
-            name, False, _without_name(error, name), "plug it in again, and look for a loose cable"
-        )
+        advice = "plug it in again, and look for a loose cable"
+        return Finding(name, False, _without_name(error, name), advice)
     finally:
         transport.close()
-
-
-def _refused(name: str, message: str, ack: Frame) -> Finding:
-    reason = name_of(Reason, ack.number("reason"))
-    return Finding(
-        name,
-        False,
-        f"answers {message} with an ACK ({reason})",
-        "flash the hand's firmware of this version",
-    )
 
 
 def _without_name(error: PortError, name: str) -> str:
     return str(error).removeprefix(f"{name} ").removeprefix(f"{name}: ")
 
 
-def _unanswered(name: str, splitter: FrameSplitter) -> Finding:
-    heard = splitter.tail
-    if splitter.other_version is not None:
-        step = "flash the firmware of this version of hpac_gym, or install the version that the firmware came with"
-        return Finding(
-            name,
-            False,
-            f"a hand that speaks protocol {splitter.other_version}, this library {VERSION}",
-            step,
-        )
-    if not heard:
-        step = "is the board powered and flashed with the hand's firmware? see firmware/board/esp32/README.md"
-        return Finding(name, False, f"silence for {_PATIENCE:g} s", step)
-    if sum(byte in b"\r\n\t" or 32 <= byte < 127 for byte in heard) >= _TEXT_SHARE * len(heard):
-        line = max(heard.decode("ascii", "replace").split("\n"), key=len).strip()[:60]
-        step = "another firmware, or log text on the command port: flash the hand's, or move its console (sdkconfig.defaults)"
-        return Finding(
-            name, False, f"text instead of frames ({len(heard)} bytes, such as {line!r})", step
-        )
-    step = "another baud rate, or noise: check the rate (460,800), ground, and that TX meets RX"
-    return Finding(name, False, f"{len(heard)} bytes that are neither frames nor text", step)
+def _examined(name: str, exchange: Exchange, hand: Hand) -> Finding:
+    info = greet(exchange, _PATIENCE, {"nonce": 0})
+    if info.state == "armed":
+        what = f"hand with firmware {info.firmware_version}, armed by session {info.session:08x}: left alone"
+        advice = "stop the program that controls it before you start another, or run hpac estop"
+        return Finding(name, True, what, advice)
+    status = HandStatus.from_frame(require_answer("status", exchange.request("status")))
+    return _judge(name, info, status, exchange.statistics, hand)
 
 
 def _judge(
@@ -143,13 +100,9 @@ def _judge(
     what += f", heat up to {max(status.heat):.0%}" if any(status.heat) else ""
     what += f", trims {' '.join(map(str, info.trim_ns))} ns" if any(info.trim_ns) else ""
     if status.fault != "none":
-        pulses = f", pulses on {len(status.attached)} servos" if status.attached else ""
-        return Finding(
-            name,
-            False,
-            f"{what}, fault {status.fault}{pulses}",
-            _FAULT_STEPS.get(status.fault, "hpac clear"),
-        )
+        what += f", fault {status.fault}"
+        what += f", pulses on {len(status.attached)} servos" if status.attached else ""
+        return Finding(name, False, what, _FAULT_STEPS.get(status.fault, "hpac clear"))
     try:
         info.table_of(hand)
     except HandshakeError as error:
@@ -160,12 +113,7 @@ def _judge(
         return Finding(name, False, what, advice)
     bad = status.counters["bad_crc"] + status.counters["bad_frame"] + status.counters["overrun"]
     if bad > 10 and bad > status.counters["accepted"] // 100:
-        return Finding(
-            name,
-            False,
-            f"{what}; {bad} damaged frames",
-            _NOISE,
-        )
+        return Finding(name, False, f"{what}; {bad} damaged frames", NOISE)
     late = "its answers come late or get lost"
     trip = f"round trip {1e3 * statistics.round_trip(50):.1f} ms"
     return Finding(name, True, f"{what}; {trip if statistics.round_trips else late}")

@@ -41,7 +41,7 @@ def flooded(junk):
 def test_a_flood_of_junk_ends_in_a_handshake_error(junk):
     with flooded(junk) as port:
         start = time.monotonic()
-        with pytest.raises(HandshakeError, match="bytes received that are no answer"):
+        with pytest.raises(HandshakeError, match="no hand answers: "):
             HandLink(port, handshake_timeout=0.2).connect()
         assert time.monotonic() - start < 30.0  # on a busy machine
 

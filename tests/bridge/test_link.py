@@ -247,10 +247,10 @@ def test_every_command_arrives_once_over_a_line_that_loses_a_tenth(virtual_hand)
 @pytest.mark.parametrize(
     ("reply", "says"),
     [
-        (of_another_version, "the hand speaks protocol 9"),
+        (of_another_version, "a hand that speaks protocol 9, .*; flash the firmware"),
         (refusing, r"answers HELLO with an ACK \(length\)"),
-        (lambda data: data, "an echo of what is sent"),
-        (lambda data: b"abc\0", "12 bytes received that are no answer"),
+        (lambda data: data, "an echo: what is sent comes back .*; take off a jumper"),
+        (lambda data: b"abc\0", "12 bytes that are neither frames nor text; another baud"),
     ],
     ids=["version", "ack", "echo", "text"],
 )
