@@ -115,7 +115,6 @@ class Exchange:
         known: the state of the hand, updated by every frame.
         statistics: the counters that it updates.
         session: nonce of this controller's HELLO, which its other messages carry.
-        sent: number of frames written, by message name.
         refused: a message that was sent without waiting for an answer and that was refused, and its
             refusal, for the next call to raise; or None.
         host_frames: number of received frames of host message types, which indicate an echo.
@@ -132,7 +131,6 @@ class Exchange:
         self.transport = transport
         self.splitter = FrameSplitter()
         self.session = 1 + secrets.randbelow(0xFFFFFFFF)
-        self.sent: dict[str, int] = dict.fromkeys(MESSAGES, 0)
         self.refused: tuple[Frame, Frame] | None = None
         self.host_frames = 0
         self.on_ack: WeakMethod[Callable[[Frame], None]] | None = None
@@ -212,7 +210,6 @@ class Exchange:
     def _write(self, frame: Frame) -> None:
         """Write a frame to the port before counting and logging it, so that nothing delays it."""
         data = encode(frame)
-        self.sent[frame.name] += 1
         if frame.name == "arm":  # from now on, even if this fails
             self.known.may_have_power = True
         try:

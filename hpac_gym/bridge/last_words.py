@@ -2,6 +2,8 @@
 
 One that relaxes in a fault is waited for, and one without pulses in a fault is left in it."""
 
+from collections import Counter
+
 from hpac_gym.bridge.errors import LinkTimeout, PortError, tell
 from hpac_gym.bridge.exchange import Exchange
 from hpac_gym.bridge.protocol import Fault, Reason
@@ -39,7 +41,7 @@ def release(exchange: Exchange, greeted: bool, timeout: float) -> tuple[str, Bas
     interrupt = _relaxed(exchange, timeout) if greeted and known.may_have_power else None
     fault = known.fault
     until = exchange.transport.now() + LAST_WORDS_TIME
-    sent_before = dict(exchange.sent)
+    sent: Counter[str] = Counter()
     failure = "no answer"
     port_gone = False
     late = Late("asking the hand to stop: no answer yet")
@@ -52,6 +54,7 @@ def release(exchange: Exchange, greeted: bool, timeout: float) -> tuple[str, Bas
                     if known.may_have_power:
                         if name == "clear" and known.fault == Fault.estop.name:
                             name = "estop"  # CLEAR would leave the fault
+                        sent[name] += 1
                         answer = exchange.request(name, timeout=timeout, attempts=1, late=True)
                         if answer.name == "ack" and answer.number("reason") == Reason.session:
                             return TAKEN_OVER, interrupt
@@ -65,7 +68,7 @@ def release(exchange: Exchange, greeted: bool, timeout: float) -> tuple[str, Bas
         again = greeted and not port_gone and exchange.transport.now() < until
         attempts = _ATTEMPTS if again else ()
     if not known.may_have_power:
-        if exchange.sent["estop"] > sent_before["estop"] and fault != Fault.estop.name:
+        if sent["estop"] and fault != Fault.estop.name:
             tell(
                 UserWarning(
                     "CLEAR was not answered in time, ESTOP was sent: `hpac clear` leaves it"
@@ -74,8 +77,7 @@ def release(exchange: Exchange, greeted: bool, timeout: float) -> tuple[str, Bas
         elif known.in_fault and not told:
             tell(UserWarning(f"the hand is in fault ({known.fault}): `hpac clear` leaves it"))
         return "", interrupt
-    counts = ((name.upper(), count - sent_before[name]) for name, count in exchange.sent.items())
-    tried = ", ".join(f"{name} × {count}" for name, count in counts if count)
+    tried = ", ".join(f"{name.upper()} × {count}" for name, count in sent.items())
     advice = "if the servos hold, switch their supply off; the hand's watchdog acts by itself if it was armed"
     return (
         f"the hand has not confirmed that it has no pulses (sent {tried or 'nothing'}: {failure}); {advice}",

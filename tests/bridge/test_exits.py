@@ -536,7 +536,7 @@ def test_a_dead_link_is_told_of_and_the_users_exception_survives(overheard):
             link.arm(Action.detach)
             overheard.spoil(loss=1.0)
             raise ZeroDivisionError
-    assert re.search(r"ESTOP × \d+, CLEAR × \d+", caught.value.__notes__[0])
+    assert re.search(r"CLEAR × \d+, ESTOP × \d+", caught.value.__notes__[0])
     assert "supply" in caught.value.__notes__[0]
 
 
