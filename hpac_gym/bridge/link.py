@@ -1,10 +1,13 @@
-"""The link to one hand: arming, moves, heartbeat; on closing it leaves the hand without pulses."""
+"""The link to one hand: arming, moves, heartbeat; on closing it leaves the hand without pulses. And
+slow moves of an armed hand: to where a program begins, and open at its end, whatever happened.
+"""
 
 import math
+from contextlib import suppress
 
 import numpy as np
 
-from hpac_gym.bridge.errors import FrameError, LinkTimeout, PortError
+from hpac_gym.bridge.errors import BridgeError, FaultError, FrameError, LinkTimeout, PortError
 from hpac_gym.bridge.frame import Fields
 from hpac_gym.bridge.limits import servo_limits
 from hpac_gym.bridge.line import Line, milliseconds, turn
@@ -17,10 +20,13 @@ from hpac_gym.bridge.protocol import (
 from hpac_gym.bridge.reports import HandStatus
 from hpac_gym.bridge.stream import EARLY, Stream
 from hpac_gym.model import SERVOS, ServoCommand, move_duration
+from hpac_gym.model.checks import Array
 
 _ARM_POLL = 0.05
 _STEP_MAX = 0x7FFF
 _HEARTBEATS_PER_WATCHDOG = 4
+GENTLE = 0.25
+"""Share of the rate limit at which a hand goes to its start posture and opens."""
 
 
 class HandLink(Line):
@@ -206,3 +212,38 @@ class HandLink(Line):
         sent_at = self._now()
         connection.request(name, fields, flags)
         connection.fed_at = sent_at
+
+
+def go(link: HandLink, servo: Array) -> None:
+    """Move slowly to servo angles, shape (6,) [rad], and wait until they are reached. Errors as of
+    `HandLink.move`.
+    """
+    start = link.status().servo
+    duration = move_duration(start, servo, link.board.built_for) / GENTLE + 0.05
+    moves = math.ceil(1e3 * duration / CONSTANTS["move_max_ms"])
+    for share in np.linspace(0.0, 1.0, moves + 1)[1:]:
+        link.move(ServoCommand(start + share * (servo - start), duration / moves))
+    link.wait()
+
+
+def open_hand(link: HandLink) -> None:
+    """Open slowly, from wherever the hand is, if it is armed. Errors as of `HandLink.move`."""
+    link.exchange.on_ack = None
+    link.exchange.refused = None
+    state = link.status().state
+    link.listen(0.0, "not opened")  # a fault is told, and not cleared by who disarms next
+    if state == "armed":
+        hand = link.board.built_for
+        go(link, np.clip(0.0, hand.servo_min, hand.servo_max))
+
+
+def release(link: HandLink, error: BaseException) -> None:
+    """After an error: open the hand slowly where it still follows, and disarm it; raises nothing of
+    the link.
+    """
+    with suppress(BridgeError):
+        if not isinstance(error, FaultError):
+            open_hand(link)
+    with suppress(BridgeError):
+        if link.state == "armed":
+            link.clear()

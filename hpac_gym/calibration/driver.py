@@ -7,7 +7,7 @@ from contextlib import contextmanager
 import numpy as np
 
 from hpac_gym.bridge import HandLink
-from hpac_gym.bridge.gentle import go, open_hand, release
+from hpac_gym.bridge.link import go, open_hand, release
 from hpac_gym.calibration.protocol import CLEARED, Protocol, rest_pose
 from hpac_gym.calibration.record import EXTENDING, FLEXING, REST
 from hpac_gym.calibration.segment import Segment

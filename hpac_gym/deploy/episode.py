@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpac_gym.bridge import HandLink, StreamCounts
-from hpac_gym.bridge.gentle import go, open_hand, release
+from hpac_gym.bridge.link import go, open_hand, release
 from hpac_gym.deploy.arm import Arm
 from hpac_gym.deploy.errors import DeployError, PoseError
 from hpac_gym.deploy.observer import Observer, Pose

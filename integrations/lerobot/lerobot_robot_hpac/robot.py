@@ -19,7 +19,7 @@ from lerobot.utils.decorators import check_if_already_connected, check_if_not_co
 
 from hpac_gym.bridge import BridgeError, HandLink, Stream
 from hpac_gym.bridge.commands import connector
-from hpac_gym.bridge.gentle import go, open_hand
+from hpac_gym.bridge.link import go, open_hand
 from hpac_gym.deploy.observer import UPRIGHT
 from hpac_gym.deploy.poses import averaged
 from hpac_gym.model import load_hand
