@@ -1,12 +1,17 @@
-"""One connection to a hand: from HELLO to the hand's confirmation that its pulses are off."""
+"""One connection to a hand: from HELLO to the hand's confirmation that its pulses are off.
+
+The last words are CLEAR, then ESTOP. A hand that relaxes in a fault is waited for, and one without
+pulses in a fault is left in it."""
 
 import math
 import os
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from threading import RLock, current_thread
 from time import monotonic
 
+from hpac_gym.bridge.doctor import greet
 from hpac_gym.bridge.errors import (
     BridgeError,
     HandshakeError,
@@ -20,14 +25,25 @@ from hpac_gym.bridge.errors import (
 from hpac_gym.bridge.exchange import Exchange, LinkStatistics, WireLog
 from hpac_gym.bridge.frame import Fields, Frame
 from hpac_gym.bridge.interrupts import interrupts
-from hpac_gym.bridge.last_words import TAKEN_OVER, release
-from hpac_gym.bridge.protocol import VERSION, Fault, Reason, name_of
+from hpac_gym.bridge.protocol import Fault, Reason
 from hpac_gym.bridge.reports import HandInfo
 from hpac_gym.bridge.transport import Transport
+from hpac_gym.progress import Late
 
-_HELLO_PERIOD = 0.1
-_TEXT_SHARE = 0.9
-NOISE = "line noise: a shorter cable, away from the servo wires"
+TAKEN_OVER = (
+    "another program has greeted the hand since, or the board has restarted: it is left as it is"
+)
+LAST_WORDS_TIME = 3.0
+"""How long a silent hand is asked to switch its pulses off [s]."""
+RELAX_TIME = 5.0
+"""How long a hand that relaxes is waited for [s]: the nominal one needs 3.2 (chosen)."""
+_POLL = 0.05
+_ATTEMPTS: tuple[tuple[str, ...], ...] = (("clear", "status"),) * 3 + (("estop", "status"),) * 2
+"""Messages that end the pulses, each with a question after the state if it was refused."""
+_ATTEMPTS_UNGREETED = (("hello", "status"), ("clear", "status")) * 3
+"""The same for a device that never answered: not a hand, perhaps, or one that an earlier session
+left holding in a fault; sent once, since nothing says that a hand is there.
+"""
 _PREEMPT_PERIOD = 0.02
 _PREEMPT_TIMEOUT = 3.0
 
@@ -238,64 +254,85 @@ class Connection:
         interrupts.deliver(already_ending)
 
 
-def greet(exchange: Exchange, patience: float, fields: Fields | None = None) -> HandInfo:
-    """Send HELLO for up to `patience` [s] and return the answer.
+def release(exchange: Exchange, greeted: bool, timeout: float) -> tuple[str, BaseException | None]:
+    """Send the last words: all of them once, and then again for `LAST_WORDS_TIME`.
 
-    Raises:
-        HandshakeError: No answer, or not from a hand of this protocol: what the device is; the first
-            remedy.
-        PortError: The port is gone.
+    Args:
+        greeted: whether the hand has answered HELLO.
+        timeout: time-out of one answer [s].
+
+    Returns:
+        A sentence on the failed attempts, empty if the hand has confirmed; and the interrupt
+        received in the meantime (`KeyboardInterrupt`, `SystemExit`), or None.
     """
-    attempts = max(1, math.ceil(patience / _HELLO_PERIOD))
-    received = exchange.statistics.received
-    try:
-        answer = exchange.request("hello", fields, timeout=_HELLO_PERIOD, attempts=attempts)
-    except LinkTimeout:
-        some = "a hand that answers only some messages; " + NOISE
-        partly = exchange.statistics.received > received
-        raise HandshakeError(some if partly else _unlike_a_hand(exchange, patience)) from None
-    return HandInfo.from_frame(require_answer("hello", answer))
-
-
-def require_answer(name: str, answer: Frame) -> Frame:
-    """The answer to a question, which a hand does not answer with an ACK.
-
-    Raises:
-        HandshakeError: It is an ACK.
-    """
-    if answer.name == "ack":
-        reason = name_of(Reason, answer.number("reason"))
-        raise HandshakeError(
-            f"a device that answers {name.upper()} with an ACK ({reason}); flash the hand's firmware of this version"
-        )
-    return answer
-
-
-def _unlike_a_hand(exchange: Exchange, patience: float) -> str:
-    """What a device is that has not answered HELLO for `patience` [s], and the first remedy."""
-    heard = exchange.splitter.tail
-    if exchange.host_frames:
-        return (
-            f"no hand answers, but an echo: what is sent comes back ({len(heard)} bytes); "
-            "take off a jumper between TX and RX, or switch the device's echo off"
-        )
-    if (version := exchange.splitter.other_version) is not None:
-        return (
-            f"a hand that speaks protocol {version}, this library {VERSION}; "
-            "flash the firmware of this version of hpac_gym, or install the version that the firmware came with"
-        )
-    if not heard:
-        return (
-            f"no hand answers: silence for {patience:g} s; "
-            "is the board powered and flashed with the hand's firmware? see firmware/board/esp32/README.md"
-        )
-    if sum(byte in b"\r\n\t" or 32 <= byte < 127 for byte in heard) >= _TEXT_SHARE * len(heard):
-        line = max(heard.decode("ascii", "replace").split("\n"), key=len).strip()[:60]
-        return (
-            f"no hand answers: text instead of frames ({len(heard)} bytes, such as {line!r}); "
-            "another firmware, or log text on the command port: flash the hand's, or move its console (sdkconfig.defaults)"
-        )
+    known = exchange.known
+    told = known.in_fault
+    interrupt = _relaxed(exchange, timeout) if greeted and known.may_have_power else None
+    fault = known.fault
+    until = exchange.transport.now() + LAST_WORDS_TIME
+    sent: Counter[str] = Counter()
+    failure = "no answer"
+    port_gone = False
+    late = Late("asking the hand to stop: no answer yet")
+    attempts = _ATTEMPTS if greeted else _ATTEMPTS_UNGREETED
+    while known.may_have_power and attempts:
+        for messages in attempts:
+            late()
+            try:
+                for name in messages:
+                    if known.may_have_power:
+                        if name == "clear" and known.fault == Fault.estop.name:
+                            name = "estop"  # CLEAR would leave the fault
+                        sent[name] += 1
+                        answer = exchange.request(name, timeout=timeout, attempts=1, late=True)
+                        if answer.name == "ack" and answer.number("reason") == Reason.session:
+                            return TAKEN_OVER, interrupt
+            except LinkTimeout:
+                pass
+            except Exception as error:
+                failure = str(error)
+                port_gone = isinstance(error, PortError)
+            except BaseException as error:
+                interrupt = interrupt or error
+        again = greeted and not port_gone and exchange.transport.now() < until
+        attempts = _ATTEMPTS if again else ()
+    if not known.may_have_power:
+        if sent["estop"] and fault != Fault.estop.name:
+            tell(
+                UserWarning(
+                    "CLEAR was not answered in time, ESTOP was sent: `hpac clear` leaves it"
+                )
+            )
+        elif known.in_fault and not told:
+            tell(UserWarning(f"the hand is in fault ({known.fault}): `hpac clear` leaves it"))
+        return "", interrupt
+    tried = ", ".join(f"{name.upper()} × {count}" for name, count in sent.items())
+    advice = "if the servos hold, switch their supply off; the hand's watchdog acts by itself if it was armed"
     return (
-        f"no hand answers: {len(heard)} bytes that are neither frames nor text; "
-        "another baud rate, or noise: check the rate (460,800), ground, and that TX meets RX"
+        f"the hand has not confirmed that it has no pulses (sent {tried or 'nothing'}: {failure}); {advice}",
+        interrupt,
     )
+
+
+def _relaxed(exchange: Exchange, timeout: float) -> BaseException | None:
+    """Ask a hand in a fault after its state, which may confirm that it has no pulses, and wait while
+    it relaxes; returns the interrupt received in the meantime, which ends the wait. Whether it is
+    in one is asked once: the stop of another program may have read what the hand said.
+    """
+    known = exchange.known
+    until = exchange.transport.now() + RELAX_TIME
+    late = Late("waiting until the hand has relaxed")
+    try:
+        if not known.in_fault:  # pulses stay on while this waits
+            exchange.request("hello", {"nonce": 0}, timeout=min(timeout, 0.1), attempts=1)
+        while known.in_fault and exchange.transport.now() < until:
+            exchange.request("status", timeout=timeout, attempts=10)
+            if not (known.may_have_power and known.status and known.status.moving):
+                break
+            late()
+            exchange.listen(_POLL)
+    except Exception:  # the last words tell
+        return None
+    except BaseException as error:
+        return error
+    return None

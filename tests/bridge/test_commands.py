@@ -262,7 +262,7 @@ print(status, sorted({{"numpy", "gymnasium", "scipy"}} & set(sys.modules)))
 
 
 def test_clear_leaves_a_fault_that_holds(host_board, capsys, monkeypatch):
-    monkeypatch.setattr("hpac_gym.bridge.last_words.LAST_WORDS_TIME", 0.1)
+    monkeypatch.setattr("hpac_gym.bridge.connection.LAST_WORDS_TIME", 0.1)
     with pytest.warns(UnconfirmedWarning), HandLink(host_board.connect) as link:  # noqa: PT031
         link.arm(Action.hold)
         link.exchange.transport.write = lambda data: None

@@ -23,8 +23,8 @@ from hpac_gym.bridge import (
     UnconfirmedWarning,
     connection,
 )
-from hpac_gym.bridge.connection import Turns, greet
-from hpac_gym.bridge.doctor import _judge, diagnose
+from hpac_gym.bridge.connection import Turns
+from hpac_gym.bridge.doctor import _judge, diagnose, greet
 from hpac_gym.bridge.exchange import Exchange, LinkStatistics
 from hpac_gym.bridge.frame import Frame, decode, encode
 from hpac_gym.bridge.hands import VirtualTransport
