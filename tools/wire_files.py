@@ -7,9 +7,8 @@ from pathlib import Path
 
 from hpac_gym.bridge import protocol
 from hpac_gym.bridge.evidence.codec import seal
-from hpac_gym.bridge.frame import Frame, cobs_decode, cobs_encode, encode
 from hpac_gym.bridge.limits import ServoLimits, limits_hash, servo_limits
-from hpac_gym.bridge.protocol import MESSAGES
+from hpac_gym.bridge.protocol import MESSAGES, Frame, cobs_decode, cobs_encode, encode
 from hpac_gym.model import HPAC, SERVOS, Hand
 from hpac_gym.output import markdown
 

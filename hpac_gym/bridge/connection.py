@@ -23,9 +23,8 @@ from hpac_gym.bridge.errors import (
     tell,
 )
 from hpac_gym.bridge.exchange import Exchange, LinkStatistics, WireLog
-from hpac_gym.bridge.frame import Fields, Frame
 from hpac_gym.bridge.interrupts import interrupts
-from hpac_gym.bridge.protocol import Fault, Reason
+from hpac_gym.bridge.protocol import Fault, Fields, Frame, Reason
 from hpac_gym.bridge.reports import HandInfo
 from hpac_gym.bridge.transport import Transport
 from hpac_gym.progress import Late

@@ -10,8 +10,7 @@ from serial.tools import list_ports
 
 from hpac_gym.bridge.errors import HandshakeError, LinkTimeout, PortError
 from hpac_gym.bridge.exchange import Exchange, LinkStatistics
-from hpac_gym.bridge.frame import Fields, Frame
-from hpac_gym.bridge.protocol import LOAD, VERSION, Reason, name_of
+from hpac_gym.bridge.protocol import LOAD, VERSION, Fields, Frame, Reason, name_of
 from hpac_gym.bridge.reports import HandInfo, HandStatus
 from hpac_gym.bridge.transport import Transport, open_transport
 from hpac_gym.model import HPAC, Hand

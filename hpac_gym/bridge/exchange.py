@@ -12,8 +12,17 @@ from weakref import WeakMethod
 import numpy as np
 
 from hpac_gym.bridge.errors import LinkTimeout, LogWarning, PortError, tell
-from hpac_gym.bridge.frame import Fields, Frame, FrameSplitter, encode
-from hpac_gym.bridge.protocol import MESSAGE_BY_CODE, MESSAGES, Reason, State, name_of
+from hpac_gym.bridge.protocol import (
+    MESSAGE_BY_CODE,
+    MESSAGES,
+    Fields,
+    Frame,
+    FrameSplitter,
+    Reason,
+    State,
+    encode,
+    name_of,
+)
 from hpac_gym.bridge.reports import KnownState
 from hpac_gym.bridge.transport import Transport
 from hpac_gym.output import Lines

@@ -20,10 +20,9 @@ from hpac_gym.bridge.errors import (
     StoppedError,
 )
 from hpac_gym.bridge.exchange import Exchange, LinkStatistics, WireLog
-from hpac_gym.bridge.frame import Fields
 from hpac_gym.bridge.interrupts import interrupts
 from hpac_gym.bridge.limits import BoardTable
-from hpac_gym.bridge.protocol import Fault, State
+from hpac_gym.bridge.protocol import Fault, Fields, State
 from hpac_gym.bridge.reports import HandInfo, HandStatus
 from hpac_gym.bridge.transport import Transport, open_transport
 from hpac_gym.model import HPAC, Hand

@@ -8,15 +8,9 @@ from contextlib import suppress
 import numpy as np
 
 from hpac_gym.bridge.errors import BridgeError, FaultError, FrameError, LinkTimeout, PortError
-from hpac_gym.bridge.frame import Fields
 from hpac_gym.bridge.limits import servo_limits
 from hpac_gym.bridge.line import Line, milliseconds, turn
-from hpac_gym.bridge.protocol import (
-    ANGLE_UNIT,
-    CONSTANTS,
-    FLAG_MINIMUM_JERK,
-    Action,
-)
+from hpac_gym.bridge.protocol import ANGLE_UNIT, CONSTANTS, FLAG_MINIMUM_JERK, Action, Fields
 from hpac_gym.bridge.reports import HandStatus
 from hpac_gym.bridge.stream import EARLY, Stream
 from hpac_gym.model import SERVOS, ServoCommand, move_duration

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from hpac_gym.bridge.errors import FaultError, HandshakeError, RejectedError
-from hpac_gym.bridge.frame import Frame
 from hpac_gym.bridge.limits import ServoLimits, limits_hash
 from hpac_gym.bridge.protocol import (
     ANGLE_UNIT,
     CONSTANTS,
     LOAD,
     Fault,
+    Frame,
     Reason,
     Reset,
     State,

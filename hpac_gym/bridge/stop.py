@@ -8,8 +8,7 @@ import sys
 from contextlib import ExitStack, suppress
 
 from hpac_gym.bridge.errors import LinkTimeout, PortError
-from hpac_gym.bridge.frame import Frame, FrameSplitter, encode
-from hpac_gym.bridge.protocol import MESSAGES, Fault, Reason
+from hpac_gym.bridge.protocol import MESSAGES, Fault, Frame, FrameSplitter, Reason, encode
 from hpac_gym.bridge.transport import Transport, open_transport
 from hpac_gym.command import add_json, drop_output, say
 

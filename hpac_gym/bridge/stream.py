@@ -18,9 +18,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hpac_gym.bridge.errors import FrameError, LinkTimeout
-from hpac_gym.bridge.frame import Fields, Frame
 from hpac_gym.bridge.line import Line
-from hpac_gym.bridge.protocol import ANGLE_UNIT, Reason
+from hpac_gym.bridge.protocol import ANGLE_UNIT, Fields, Frame, Reason
 from hpac_gym.bridge.reports import HandStatus
 from hpac_gym.model import SERVOS
 from hpac_gym.model.checks import Array, as_finite_vector

@@ -3,9 +3,8 @@ bad."""
 
 import numpy as np
 
-from hpac_gym.bridge.frame import Frame, FrameSplitter, decode, encode
 from hpac_gym.bridge.hands import VirtualTransport
-from hpac_gym.bridge.protocol import MESSAGES
+from hpac_gym.bridge.protocol import MESSAGES, Frame, FrameSplitter, decode, encode
 from hpac_gym.virtual.wire import BadTransport, Faults
 
 LOST = Faults(loss=1.0)

@@ -29,9 +29,8 @@ from hpac_gym.bridge import (
 )
 from hpac_gym.bridge.commands import connector, send_and_hold
 from hpac_gym.bridge.doctor import diagnose
-from hpac_gym.bridge.frame import Frame, encode
 from hpac_gym.bridge.hands import config_of, default_config
-from hpac_gym.bridge.protocol import Fault, State
+from hpac_gym.bridge.protocol import Fault, Frame, State, encode
 from hpac_gym.model import HPAC, SERVOS, ServoCommand, hand_to_toml
 from tests.bridge.devices import (
     Device,

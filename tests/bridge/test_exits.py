@@ -40,9 +40,9 @@ from hpac_gym.bridge import (
     WireLog,
 )
 from hpac_gym.bridge.errors import LogWarning
-from hpac_gym.bridge.frame import Frame, decode, encode
 from hpac_gym.bridge.hands import VirtualTransport
 from hpac_gym.bridge.interrupts import interrupts
+from hpac_gym.bridge.protocol import Frame, decode, encode
 from hpac_gym.bridge.link import open_hand
 from hpac_gym.model import HPAC, ServoCommand
 from hpac_gym.virtual.wire import Faults

@@ -24,7 +24,6 @@ from hpac_gym.bridge import (
     pulses_from_servo,
     servo_from_pulses,
 )
-from hpac_gym.bridge.frame import Frame, encode
 from hpac_gym.bridge.hands import (
     config_of,
     default_config,
@@ -33,6 +32,7 @@ from hpac_gym.bridge.limits import (
     limits_hash,
 )
 from hpac_gym.bridge.link import GENTLE, release
+from hpac_gym.bridge.protocol import Frame, encode
 from hpac_gym.errors import HpacError, ParameterError, ShapeError
 from hpac_gym.model import (
     HPAC,

@@ -10,8 +10,7 @@ import pytest
 from hpac_gym.bridge import pulses_from_servo
 from hpac_gym.bridge.evidence import codec as wire
 from hpac_gym.bridge.evidence.codec import Reader, seal, unseal
-from hpac_gym.bridge.frame import Frame, decode, encode
-from hpac_gym.bridge.protocol import MESSAGES
+from hpac_gym.bridge.protocol import MESSAGES, Frame, decode, encode
 from tools.evidence.oracle import Oracle
 
 OURS = struct.pack("<I", 0x1234)

@@ -26,9 +26,8 @@ from hpac_gym.bridge import (
 from hpac_gym.bridge.connection import Turns
 from hpac_gym.bridge.doctor import _judge, diagnose, greet
 from hpac_gym.bridge.exchange import Exchange, LinkStatistics
-from hpac_gym.bridge.frame import Frame, decode, encode
 from hpac_gym.bridge.hands import VirtualTransport
-from hpac_gym.bridge.protocol import FLAG_MINIMUM_JERK, MESSAGES
+from hpac_gym.bridge.protocol import FLAG_MINIMUM_JERK, MESSAGES, Frame, decode, encode
 from hpac_gym.model import HPAC, ServoCommand
 from tests.bridge.devices import LOST, Device
 

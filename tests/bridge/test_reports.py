@@ -18,9 +18,8 @@ import pytest
 from hpac_gym.bridge import HandLink, LinkStatistics, PortError, VirtualHand, WireLog
 from hpac_gym.bridge.commands import _print_json
 from hpac_gym.bridge.doctor import Finding
-from hpac_gym.bridge.frame import Frame, decode
 from hpac_gym.bridge.limits import ServoLimits
-from hpac_gym.bridge.protocol import Fault, Field, Message, Reason, State
+from hpac_gym.bridge.protocol import Fault, Field, Frame, Message, Reason, State, decode
 from hpac_gym.bridge.reports import HandInfo, HandStatus, KnownState
 from hpac_gym.bridge.transport import _open_advice, open_transport
 from hpac_gym.model import SERVOS

@@ -12,8 +12,8 @@ from hpac_gym.bridge import (
     VirtualHand,
     servo_from_pulses,
 )
-from hpac_gym.bridge.frame import Frame, encode
 from hpac_gym.bridge.link import open_hand
+from hpac_gym.bridge.protocol import Frame, encode
 from hpac_gym.errors import ShapeError
 from hpac_gym.model import HPAC, ServoCommand
 from hpac_gym.virtual.wire import Faults

@@ -26,7 +26,7 @@ import hpac
 from experiments import deployed
 from hpac_gym.bridge import FaultError, HandLink, HostBoard, VirtualHand, servo_from_pulses
 from hpac_gym.bridge.errors import LinkTimeout, LogWarning
-from hpac_gym.bridge.frame import Frame, encode
+from hpac_gym.bridge.protocol import Frame, encode
 from hpac_gym.deploy import replay
 from hpac_gym.deploy.arm import Arm, arm_of
 from hpac_gym.deploy.commands import object_of
