@@ -31,19 +31,14 @@ def firmware_file(name: str) -> Path:
     Raises:
         FirmwareMissing: It is not in the build folder, and cannot be compiled.
     """
-    if given := os.environ.get(BUILD_VARIABLE):
-        path = Path(given).absolute() / name
-        if not path.exists():
-            raise FirmwareMissing(
-                f"{path} is missing: run `make firmware` in a checkout, or unset {BUILD_VARIABLE}"
-            )
-        return path
     folder = next((folder for folder in FOLDERS if (folder / "core").is_dir()), FOLDERS[-1])
-    built = folder / "build" / name
+    given = os.environ.get(BUILD_VARIABLE)
+    built = (Path(given).absolute() if given else folder / "build") / name
     if built.exists():
         return built
-    if name not in PROGRAMS or not (folder / "core").is_dir():
-        raise FirmwareMissing(f"{built} is missing: run `make firmware` in a checkout")
+    if given or name not in PROGRAMS or not (folder / "core").is_dir():
+        unset = f", or unset {BUILD_VARIABLE}" if given else ""
+        raise FirmwareMissing(f"{built} is missing: run `make firmware` in a checkout{unset}")
     return _compiled(folder, name)
 
 

@@ -274,10 +274,14 @@ class Device(Talk):
         """Wait after ARM until all servos have pulses and are at rest."""
         until = self.transport.now() + CONSTANTS["start_max_ms"] * 1e-3 + SLACK
         while (status := self.status()).attached != 0x3F or status.moving:
-            told = f"while servos start: {_told_state(status)}, must be armed"
-            self.expect(status.state == State.armed, told)
-            text = f"{CONSTANTS['start_max_ms']} ms after ARM servos {status.attached:06b} have pulses, moving {status.moving}"
-            self.expect(self.transport.now() < until, text)
+            self.expect(
+                status.state == State.armed,
+                f"while servos start: {_told_state(status)}, must be armed",
+            )
+            self.expect(
+                self.transport.now() < until,
+                f"{CONSTANTS['start_max_ms']} ms after ARM servos {status.attached:06b} have pulses, moving {status.moving}",
+            )
             self.live(0.03)
 
     def moved(self, target: int = 2000) -> None:
