@@ -9,23 +9,17 @@ interval, and every survivor. Survivors that were looked at and change nothing s
 
 import argparse
 import ast
-import faulthandler
 import os
 import random
 import re
-import resource
 import shutil
+import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
-from contextlib import suppress
-from importlib import import_module
-from multiprocessing import Pipe, get_context
+from collections.abc import Iterator
 from pathlib import Path
-from types import CodeType
 
-import pytest
 from scipy.stats import binomtest
 
 ROOT = Path(__file__).parents[2]
@@ -36,8 +30,6 @@ TESTS = {
     "conversation": "protocol reports patience link exits commands host_board evidence conform",
     "evidence": "oracle evidence conform",
 }
-_QUICK = 0.25
-"""No test that waits for real time is quicker than this [s]."""
 EQUIVALENT = {
     "commands.py swap move_duration(rest, command.servo, hand) → move_duration(command.servo, rest, hand)": "as long back",
     "commands.py swap move_duration(rest, target, hand) → move_duration(target, rest, hand)": "as long back",
@@ -118,157 +110,67 @@ def mutate(text: str, kind: str, number: int) -> tuple[str, str]:
     )
 
 
-class Watch:
-    """Pytest plugin of a child process: runs the tests in the order of `rank` and tells which one
-    begins.
+class Judge:
+    """Runs tests on a copy of the project, quick files first, each time in a process of its own.
 
     Args:
-        tell: called as `tell(test, called)` at the beginning of each test; `called` has the
-            functions of the bridge that have been called since, as (file, first line, last line),
-            if `trace` is set.
-        rank: sort key of a test's name.
-        patience: longest time of a test by its name [s]; if it takes longer, the process ends.
-    """
-
-    def __init__(
-        self, tell: Callable, rank: Callable, patience: Callable[[str], float], trace: bool
-    ) -> None:
-        self._tell = tell
-        self._rank = rank
-        self._patience = patience
-        self._trace = trace
-        self._called: set[CodeType] = set()
-
-    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
-        items.sort(key=lambda item: self._rank(item.nodeid))
-
-    def pytest_runtest_setup(self, item: pytest.Item) -> None:
-        self.tell(item.nodeid)
-        faulthandler.dump_traceback_later(self._patience(item.nodeid), exit=True)
-        if self._trace:
-            sys.settrace(lambda frame, _event, _argument: self._called.add(frame.f_code))
-
-    def tell(self, test: str) -> None:
-        """Tell that a test begins, or by an empty name that all have passed."""
-        sys.settrace(None)
-        ours = [
-            code for code in self._called if any(str(place) in code.co_filename for place in PLACES)
-        ]
-        self._tell(
-            (
-                test,
-                [(Path(code.co_filename), code.co_firstlineno, max(_lines(code))) for code in ours],
-            )
-        )
-        self._called.clear()
-
-
-def _lines(code: CodeType) -> list[int]:
-    return [line for *_, line in code.co_lines() if line]
-
-
-class Judge:
-    """Runs the tests on a copy of the project, each time in a fork of this process, which has
-    imported all but the bridge.
+        folder: where the copy is made.
+        files: names of the files of tests.
     """
 
     def __init__(self, folder: Path, files: list[str]) -> None:
         self.folder = folder
-        self._seconds: dict[str, float] = {}
-        self._called: dict[str, list[tuple[Path, int, int]]] = {}
-        for part in ("hpac_gym", "agents", "tools", "tests", "docs"):
-            shutil.copytree(
-                ROOT / part, folder / part, ignore=shutil.ignore_patterns("__pycache__", "images")
-            )
-        (folder / "assets").symlink_to(ROOT / "assets")
-        shutil.copytree(
-            ROOT / "firmware", folder / "firmware", ignore=shutil.ignore_patterns("build")
-        )
+        self._files = files
+        left_out = shutil.ignore_patterns("__pycache__", "images", "build")
+        for part in ("hpac_gym", "agents", "tools", "tests", "docs", "assets", "firmware"):
+            shutil.copytree(ROOT / part, folder / part, ignore=left_out)
         shutil.copy(ROOT / "pyproject.toml", folder)
-        os.environ |= {
-            "PYTHONPATH": str(folder),
-            "HPAC_FIRMWARE_BUILD": str(ROOT / "firmware" / "build"),
-        }
-        os.chdir(folder)
-        sys.path[0] = str(folder)
-        for name in ("hypothesis", "serial", "hpac_gym.model"):
-            import_module(name)
+        begun = time.monotonic()
+        # Longest time of all tests, beyond which one hangs [s].
+        self._patience = 3600.0
         if found := self._failure(*files):
             sys.exit(f"{found} fails without any fault")
-        os.environ["PYTHONDONTWRITEBYTECODE"] = (
-            "1"  # what is compiled of one text must not stand for the next
-        )
-        sys.dont_write_bytecode = True
+        self._patience = 60 + 3 * (time.monotonic() - begun)
 
-    def _failure(self, *words: str) -> str:
-        """The test that fails, hangs or crashes; empty if none does. The quicker run first."""
-        known = dict(self._seconds)
-        ours, theirs = Pipe(duplex=False)
-        watch = Watch(
-            theirs.send,
-            lambda test: known.get(test, 0),
-            lambda test: 60 + 10 * known.get(test, 60),
-            trace=not known,
-        )
-        child = get_context("fork").Process(target=_run_tests, args=(watch, words))
-        child.start()
-        theirs.close()
-        test = "collection"
-        begins = time.monotonic()
-        with suppress(EOFError):
-            while test:
-                after, called = ours.recv()
-                if not known and "::" in test:
-                    self._seconds[test] = time.monotonic() - begins
-                    self._called[test] = called
-                test = after
-                begins = time.monotonic()
-        child.join()
-        return test
-
-    def notices(self, module: Path, line: int, was: str, becomes: str) -> str:
-        """Which test notices that a module `becomes` something else than it `was`, at a line; empty
-        if none does.
-
-        Only the tests that call the function of that line run, and those whose calls are not known:
-        in processes, or traced. All of them run if the line is outside of functions. A test that
-        waits for real time counts if it fails twice with the fault and passes without it: on a busy
-        machine one may fail by itself."""
-        calls = {
-            test: any(path == module and first <= line <= last for path, first, last in called)
-            for test, called in self._called.items()
-        }
-        near = {
-            test
-            for test, hit in calls.items()
-            if hit or not any(calls.values()) or not self._called[test]
+    def _failure(self, *tests: str) -> str:
+        """The first test that fails, hangs or crashes; empty if none does."""
+        command = [sys.executable, "-m", "pytest", "-x", "-q", "-pno:cacheprovider", "-pno:xdist"]
+        # A loop without end must not take all of the memory.
+        limited = ["sh", "-c", 'ulimit -v 8388608; exec "$0" "$@"', *command, *tests]
+        variables = {
+            "PYTHONPATH": str(self.folder),
+            "HPAC_FIRMWARE_BUILD": str(ROOT / "firmware" / "build"),
+            # What is compiled of one text must not stand for the next.
+            "PYTHONDONTWRITEBYTECODE": "1",
         }
         try:
-            while True:
-                module.write_text(becomes)
-                test = self._failure(*sorted(near)) if near else ""
-                if (
-                    "::" not in test or self._seconds[test] < _QUICK
-                ):  # the first: none, or they could not even be collected
-                    return test
-                again = self._failure(test)
-                module.write_text(was)
-                if again and not self._failure(test):
-                    return test
-                near.discard(test)
+            done = subprocess.run(
+                limited,
+                cwd=self.folder,
+                env=os.environ | variables,
+                capture_output=True,
+                text=True,
+                timeout=self._patience,
+                check=False,
+            )
+        except subprocess.TimeoutExpired:
+            return "hangs"
+        named = re.findall(r"^(?:FAILED|ERROR) (\S+)", done.stdout, re.M)
+        return "" if done.returncode == 0 else (*named, "crashes")[0]
+
+    def notices(self, module: Path, becomes: str) -> str:
+        """Which test notices that a module `becomes` something else; empty if none does. A test
+        counts if it fails twice: on a busy machine one that waits for real time may fail by itself.
+        """
+        was = module.read_text()
+        module.write_text(becomes)
+        try:
+            test = self._failure(*self._files)
+            if "::" in test and not self._failure(test):
+                test = self._failure(*self._files)
+            return test
         finally:
             module.write_text(was)
-
-
-def _run_tests(watch: Watch, words: tuple[str, ...]) -> None:
-    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
-    os.dup2(1, 2)
-    # A loop without end must not take all of the memory.
-    resource.setrlimit(resource.RLIMIT_AS, (4 << 30, 4 << 30))
-    faulthandler.dump_traceback_later(60, exit=True)
-    options = ["-x", *(f"-pno:{name}" for name in ("cacheprovider", "faulthandler", "xdist"))]
-    if pytest.main([*options, *words], plugins=[watch]) == 0:
-        watch.tell("")
 
 
 def main() -> int:
@@ -298,8 +200,7 @@ def main() -> int:
             if re.sub(r"line \d+: ", "", where) in EQUIVALENT:
                 equivalent += 1
                 continue
-            line = int(re.search(r"line (\d+)", what)[1])
-            how = judge.notices(judge.folder / path.relative_to(ROOT), line, texts[path], mutated)
+            how = judge.notices(judge.folder / path.relative_to(ROOT), mutated)
             print(f"{'killed  ' if how else 'SURVIVED'} {where}  [{how}]", flush=True)
             killed += bool(how)
             survivors += [] if how else [where]
