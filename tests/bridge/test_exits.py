@@ -27,13 +27,12 @@ import pytest
 import hpac_gym.bridge
 from hpac_gym.bridge import (
     Action,
-    BridgeError,
     FaultError,
     HandLink,
     HandshakeError,
+    HostBoard,
     LinkTimeout,
     PortError,
-    Reset,
     StoppedError,
     UnconfirmedWarning,
     VirtualHand,
@@ -42,8 +41,8 @@ from hpac_gym.bridge import (
 from hpac_gym.bridge.errors import LogWarning
 from hpac_gym.bridge.hands import VirtualTransport
 from hpac_gym.bridge.interrupts import interrupts
-from hpac_gym.bridge.protocol import Frame, decode, encode
 from hpac_gym.bridge.link import open_hand
+from hpac_gym.bridge.protocol import Frame, decode, encode
 from hpac_gym.model import HPAC, ServoCommand
 from hpac_gym.virtual.wire import Faults
 from tests.bridge.devices import LOST
@@ -165,12 +164,13 @@ class Signalling(VirtualTransport):
         super().write(data)
 
 
-def test_a_signal_that_waited_for_the_end_is_delivered_then(virtual_hand):
-    link = HandLink(lambda: Signalling(virtual_hand))
-    link.connect()
-    link.arm(Action.hold)
-    with pytest.raises(SystemExit) as caught:
-        link.close()
+@pytest.mark.parametrize("ending", [None, GeneratorExit, CancelledError])
+def test_a_signal_that_came_during_the_release_is_delivered_after_it(virtual_hand, ending):
+    """Also where a closed generator or a cancelled task releases the hand."""
+    with pytest.raises(SystemExit) as caught, HandLink(lambda: Signalling(virtual_hand)) as link:
+        link.arm(Action.hold)
+        if ending:
+            raise ending
     assert caught.value.code == 128 + signal.SIGTERM
     assert not virtual_hand.pulses().any()
 
@@ -284,6 +284,18 @@ asyncio.run(drive())
 """
 
 
+TO_ANOTHER_THREAD = session(
+    """
+import threading
+
+def signalled():
+    time.sleep(0.3)
+    signal.pthread_kill(threading.get_ident(), signal.SIGTERM)
+
+threading.Thread(target=signalled).start()
+time.sleep(600)  # no signal ends this wait: the system has given it to the other thread
+"""
+)
 UNCLOSED = "link.connect(); link.arm(Action.hold); print('armed', flush=True)"
 OPENED_LATE = """
 import atexit
@@ -304,7 +316,7 @@ ENDS = {
     "sigterm": (SLEEPING, [signal.SIGTERM], 128 + signal.SIGTERM),
     "more": (SLEEPING, [signal.SIGHUP, signal.SIGTERM, signal.SIGINT], 128 + signal.SIGHUP),
     "thread, sigterm": (IN_A_THREAD, [signal.SIGTERM], 128 + signal.SIGTERM),
-    "thread, sighup": (IN_A_THREAD, [signal.SIGHUP], 128 + signal.SIGHUP),
+    "sigterm to another thread": (TO_ANOTHER_THREAD, [], 128 + signal.SIGTERM),
     "child process": (IN_A_CHILD, [], 0),
     "blocking task, ctrl-c": (IN_A_TASK, [signal.SIGINT], -signal.SIGINT),
     "nobody closes it": (UNCLOSED, [], 0),
@@ -313,24 +325,28 @@ ENDS = {
 """Programs, the signals that they get once they are armed, and their exit statuses."""
 
 
-@pytest.mark.parametrize(("program", "signals", "status"), ENDS.values(), ids=ENDS)
-def test_a_program_that_ends_leaves_the_hand_without_pulses_and_its_port_free(
-    host_board, program, signals, status
-):
-    returned, complaint = run_against(host_board, program, *signals)
-    assert returned == status, complaint
-    assert not host_board.pulses().any()
-    assert "Unconfirmed" not in complaint
-    with HandLink(host_board.connect) as link:
-        assert link.state == "idle"
+def check_end(program, signals, status):
+    with HostBoard() as board:
+        returned, complaint = run_against(board, program, *signals)
+        assert returned == status, complaint
+        assert not board.pulses().any(), complaint
+        assert "Unconfirmed" not in complaint
+        with HandLink(board.connect) as link:
+            assert link.state == "idle", complaint
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
-def test_a_signal_ends_conform_without_pulses(host_board, number):
+def test_programs_that_end_leave_their_hands_without_pulses_and_their_ports_free():
+    with ThreadPoolExecutor(3) as pool:  # they wait most of the time
+        ended = {name: pool.submit(check_end, *ENDS[name]) for name in ENDS}
+    wrong = {name: end.exception() for name, end in ended.items() if end.exception()}
+    assert not wrong
+
+
+def test_a_signal_ends_conform_without_pulses(host_board):
     with started("-m", "hpac", "conform", "--port", host_board.port) as process:
         wait_for(lambda: host_board.pulses().all())
-        process.send_signal(number)
-        assert process.wait(60) == 128 + number
+        process.terminate()
+        assert process.wait(60) == 128 + signal.SIGTERM
     wait_for(lambda: not host_board.pulses().any(), 3)
 
 
@@ -368,16 +384,6 @@ finally:
 """
     done = python("-c", program)
     assert (done.returncode, done.stdout) == (128 + signal.SIGTERM, "False\n"), done.stderr
-
-
-@pytest.mark.parametrize("ending", [GeneratorExit, CancelledError])
-def test_a_signal_during_the_release_by_a_closed_generator_or_cancelled_task_is_delivered(
-    virtual_hand, ending
-):
-    with pytest.raises(SystemExit), HandLink(lambda: Signalling(virtual_hand)) as link:
-        link.arm(Action.hold)
-        raise ending
-    assert not virtual_hand.pulses().any()
 
 
 def test_an_error_of_the_port_s_close_hides_neither_the_user_s_nor_the_end(virtual_hand, overheard):
@@ -592,13 +598,6 @@ def test_a_program_that_is_refused_lets_the_hand_of_another_relax(virtual_hand, 
     require_relaxed(virtual_hand, "watchdog")
 
 
-def test_a_reset_that_stays_disarmed_until_clear_does_so_for_every_program():
-    hand = VirtualHand(reset=Reset.brownout)
-    for _ in range(2):
-        with pytest.raises(FaultError, match="brownout"), HandLink(hand.connect) as link:
-            link.arm()
-
-
 def test_the_next_session_ends_a_fault_that_holds(left_holding):
     with HandLink(left_holding.connect) as link:
         assert link.state == "fault"
@@ -611,13 +610,6 @@ def test_a_hand_that_nobody_can_hear_is_cleared_when_the_handshake_fails(left_ho
         HandLink(lambda: overheard, handshake_timeout=0.3).connect()
     assert "not confirmed" in caught.value.__notes__[0]
     assert not left_holding.pulses().any()
-
-
-def test_a_latched_fault_without_pulses_is_left_for_the_next_session(virtual_hand):
-    for _ in range(2):
-        with HandLink(virtual_hand.connect) as link:
-            link.estop()
-    assert HandLink(virtual_hand.connect).connect().state == "fault"
 
 
 def test_a_stop_of_which_another_program_has_read_all_is_left_for_somebody_to_clear(virtual_hand):
@@ -664,21 +656,22 @@ def test_a_log_that_fails_is_told_once_even_where_warnings_are_errors(virtual_ha
     assert not capsys.readouterr().err
 
 
-@pytest.mark.parametrize("warns", ["default", "error"])
-def test_an_end_that_is_not_confirmed_raises_nothing_though_standard_error_is_closed(warns):
+def test_an_end_that_is_not_confirmed_raises_nothing_though_standard_error_is_closed():
     program = """
-import sys
+import sys, warnings
 from hpac_gym.bridge import HandLink, VirtualHand
 
-link = HandLink(VirtualHand().connect)
-link.connect()
-link.arm()
-link.exchange.transport.write = lambda data: None
-sys.stderr.close()
-link.close()
-print("closed")
+for warns in ("default", "error"):
+    warnings.simplefilter(warns)
+    link = HandLink(VirtualHand().connect)
+    link.connect()
+    link.arm()
+    link.exchange.transport.write = lambda data: None
+    sys.stderr.close()
+    link.close()
+    print("closed")
 """
-    assert python("-W", warns, "-c", program).stdout == "closed\n"
+    assert python("-c", program).stdout == "closed\nclosed\n"
 
 
 # --- e-stop from elsewhere
@@ -709,8 +702,12 @@ def test_estop_from_a_signal_handler_ends_the_interrupted_call(host_board):
 def test_estop_and_close_from_another_thread_end_the_call_that_waits(host_board, stop):
     link = HandLink(host_board.connect)
     link.connect()
-    for wait in (lambda: link.sleep(30), lambda: [link.status() for _ in range(10**6)]):
-        link.arm(Action.hold)
+    link.arm(Action.hold)
+    for wait in (
+        lambda: link.sleep(30),
+        lambda: link.sleep(math.inf),  # of a hand that is not armed
+        lambda: [link.status() for _ in range(10**6)],
+    ):
         start = time.monotonic()
         with ThreadPoolExecutor() as pool:
             stopped = pool.submit(lambda: time.sleep(0.05) or stop(link))
@@ -738,35 +735,6 @@ def test_an_estop_that_is_not_confirmed_says_so(virtual_hand, overheard):
         assert not virtual_hand.pulses().any()
 
 
-def test_another_programs_hello_ends_this_session_by_name(virtual_hand, armed):
-    virtual_hand.receive(encode(Frame("hello", 1, 0, {"nonce": 77})))
-    with pytest.raises(BridgeError, match="another program"):
-        armed.heartbeat()
-
-
-IN_A_LONG_CALL = """
-import numpy  # its BLAS has threads, and a stopped process gives a signal to any of them
-
-with link:
-    link.arm(Action.hold, watchdog=2.0)
-    print("armed", flush=True)
-    time.sleep(60)
-"""
-
-
-def test_a_signal_that_came_while_the_process_was_stopped_ends_a_long_call_too(
-    host_board, monkeypatch
-):
-    """Without the watching thread 14 of 20 such programs went on."""
-    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "2")
-    for _ in range(5):
-        start = time.monotonic()
-        returned, complaint = run_against(host_board, IN_A_LONG_CALL, signal.SIGTERM)
-        assert (returned, complaint) == (128 + signal.SIGTERM, "")
-        assert time.monotonic() - start < 30
-        assert not host_board.pulses().any()
-
-
 def left_by(count, seed, control=""):
     """What the programs of users left, without those that left nothing."""
     verdicts = user_programs.run_programs(count, seed, control=control)
@@ -776,7 +744,7 @@ def left_by(count, seed, control=""):
 
 def test_programs_of_users_leave_no_hand_on_and_no_port_locked():
     """A few of the 300 that `python -m tools.evidence.user_programs` draws."""
-    assert left_by(6, seed=2)[0] == []
+    assert left_by(4, seed=2)[0] == []
 
 
 @pytest.mark.slow
