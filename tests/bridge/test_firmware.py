@@ -18,12 +18,18 @@ def sources(tmp_path, monkeypatch):
     folder = tmp_path / "firmware"
     shutil.copytree(FOLDERS[-1], folder, ignore=shutil.ignore_patterns("build", "test"))
     monkeypatch.setattr(firmware, "FOLDERS", (folder,))
+    monkeypatch.setattr(firmware, "FLAGS", (*firmware.FLAGS, "-O0"))  # quicker to compile
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.delenv(BUILD_VARIABLE, raising=False)
     return folder
 
 
-def test_what_is_not_built_is_compiled_once_and_again_when_a_source_changes(sources, tmp_path):
+def test_what_is_not_built_is_compiled_once_and_again_when_a_source_changes(
+    sources, tmp_path, monkeypatch
+):
+    """In folders that may be given from where one stands."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XDG_CACHE_HOME", "cache")
     program = firmware_file("hpac_host")
     assert program.is_relative_to(tmp_path / "cache" / "hpac_gym")
     made = program.stat().st_mtime_ns
@@ -34,13 +40,6 @@ def test_what_is_not_built_is_compiled_once_and_again_when_a_source_changes(sour
         header.write("/* changed */\n")
     assert firmware_file("hpac_host") != program
     assert list(program.parent.iterdir()) == [program]
-
-
-def test_folders_may_be_given_from_where_one_stands(sources, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("XDG_CACHE_HOME", "cache")
-    program = firmware_file("hpac_host")
-    assert program.is_relative_to(tmp_path / "cache")
     monkeypatch.chdir(program.parent)
     monkeypatch.setenv(BUILD_VARIABLE, ".")
     with HostBoard() as board:
@@ -61,10 +60,10 @@ def test_programs_that_start_together_compile_without_harm(sources):
     )
     running = [
         subprocess.Popen([sys.executable, "-c", script, sources], stdout=subprocess.PIPE, text=True)
-        for _ in range(3)
+        for _ in range(2)
     ]
     ports = [each.communicate(timeout=60)[0] for each in running]
-    assert [each.returncode for each in running] == [0, 0, 0]
+    assert [each.returncode for each in running] == [0, 0]
     assert all(ports)
 
 

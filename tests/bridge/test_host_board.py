@@ -1,12 +1,10 @@
 """HandLink against the firmware as a process: real pseudo-terminal, real clock, pyserial."""
 
-import math
 import os
 import signal
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 from types import SimpleNamespace
 from unittest.mock import Mock, call
@@ -19,8 +17,8 @@ from hpac_gym.bridge import (
     HandshakeError,
     HostBoard,
     PortError,
-    StoppedError,
     open_transport,
+    pulses_from_servo,
     servo_from_pulses,
 )
 from hpac_gym.bridge.firmware import BUILD_VARIABLE
@@ -41,19 +39,13 @@ def test_streamed_commands_are_acknowledged_and_the_pulses_decode_to_them(host_b
             link.wait()
             np.testing.assert_allclose(servo_from_pulses(host_board.pulses()), servo, atol=2e-4)
         assert link.statistics.rejected == 0
-
-
-def test_pulse_changes_tell_the_whole_move(host_board):
-    with HandLink(host_board.connect) as link:
-        link.arm(watchdog=2.0)
-        host_board.pulse_changes()
-        link.move(ServoCommand(POSE, 0.5))
+        link.move(ServoCommand(np.full(6, 1.3), 0.5))
         link.wait()
-        changes = host_board.pulse_changes()
+        changes = host_board.pulse_changes()  # of all of the last move
     assert len(changes) > 50
     assert 0.4e6 < changes[-1, 0] - changes[0, 0] < 0.6e6
-    assert np.all(np.diff(changes[:, 1:], axis=0) >= 0)
-    np.testing.assert_allclose(servo_from_pulses(changes[-1, 1:]), POSE, atol=1e-4)
+    assert np.all(np.diff(changes[:, 1:], axis=0) <= 0)
+    np.testing.assert_allclose(servo_from_pulses(changes[-1, 1:]), 1.3, atol=1e-4)
 
 
 def test_a_change_that_comes_while_the_log_begins_anew_is_told(host_board, monkeypatch):
@@ -75,25 +67,8 @@ def test_a_change_that_comes_while_the_log_begins_anew_is_told(host_board, monke
     assert host_board._read_to == 0
 
 
-def test_a_board_that_has_restarted_has_no_pulses(host_board):
-    with HandLink(host_board.connect) as link:
-        link.arm(watchdog=2.0)
-        assert host_board.pulses().all()
-    host_board.__exit__()
-    host_board.__enter__()
-    assert not host_board.pulses().any()
-
-
-def test_an_endless_wait_of_a_hand_that_is_not_armed_ends_by_a_stop(host_board):
-    with HandLink(host_board.connect) as link:
-        stopper = threading.Timer(0.1, link.estop)
-        stopper.start()
-        with pytest.raises(StoppedError):
-            link.sleep(math.inf)
-        stopper.join()
-
-
-def test_a_stopped_board_is_a_timeout_and_never_a_hang(host_board):
+def test_a_stopped_board_is_a_timeout_and_never_a_hang(host_board, monkeypatch):
+    monkeypatch.setattr("hpac_gym.bridge.connection.LAST_WORDS_TIME", 0.1)
     with HandLink(host_board.connect, handshake_timeout=1.0) as link:
         host_board.process.send_signal(signal.SIGSTOP)
         try:
@@ -153,15 +128,17 @@ def test_a_board_leaves_no_folder_behind_even_if_its_program_does_not_start(monk
 
 
 def test_a_replugged_board_is_found_again_and_not_armed():
-    link = HandLink(lambda: board.connect())
-    with HostBoard() as board:
+    board = HostBoard()
+    link = HandLink(board.connect)
+    with board:
         link.connect()
         link.arm(watchdog=2.0)
+        assert board.pulses().all()
     with pytest.raises(PortError):
         link.sleep(1.0)
     with pytest.raises(PortError, match="no such port"):
         link.connect()
-    with HostBoard() as board, link:
+    with board, link:
         assert link.state == "idle"
         assert not board.pulses().any()
         link.arm(watchdog=2.0)
@@ -169,17 +146,16 @@ def test_a_replugged_board_is_found_again_and_not_armed():
 
 
 def test_trims_and_directions_move_the_pulses_of_their_servo_alone_and_boot_text_none():
-    def pulses_at_pose(*arguments):
-        with HostBoard(arguments) as board, HandLink(board.connect) as link:
-            link.arm(watchdog=2.0)
-            link.move(ServoCommand(POSE, 0.5))
-            link.wait()
-            return board.pulses()
-
-    plain = pulses_at_pose()
-    turned = pulses_at_pose("--boot-text", "--trim", "2", "20000", "--reverse", "0")
-    np.testing.assert_array_equal((turned - plain)[1:], [0, 20_000, 0, 0, 0])
-    assert turned[0] - 1_500_000 == -(plain[0] - 1_500_000)
+    arguments = ("--boot-text", "--trim", "2", "20000", "--reverse", "0")
+    with HostBoard(arguments) as board, HandLink(board.connect) as link:
+        link.arm(watchdog=2.0)
+        link.move(ServoCommand(POSE, 0.5))
+        link.wait()
+        turned = board.pulses()
+    expected = pulses_from_servo(POSE)
+    expected[0] = 3_000_000 - expected[0]
+    expected[2] += 20_000
+    np.testing.assert_allclose(turned, expected, rtol=0, atol=1)  # a tie, rounded
 
 
 class FakeSerial(SimpleNamespace):
