@@ -8,7 +8,6 @@ import time
 from contextlib import ExitStack, nullcontext
 from pathlib import Path
 from types import SimpleNamespace
-from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -60,7 +59,7 @@ def run(name, *words):
 
 def test_wiggle_moves_each_servo_alone_next_to_its_name(capsys, monkeypatch):
     trace = []
-    hand = VirtualHand(on_pulses=lambda now_us, pulses: trace.append(pulses))
+    hand = VirtualHand(10_000, on_pulses=lambda now_us, pulses: trace.append(pulses))
     monkeypatch.setattr("hpac_gym.bridge.commands.VirtualHand", lambda config: hand)
     assert run("wiggle", "--port", "virtual") == 0
     lines = capsys.readouterr().out.splitlines()
@@ -184,12 +183,6 @@ def test_doctor_tells_devices_apart_and_names_the_first_step(reply, what, advice
     assert advice in finding.advice
 
 
-def test_doctor_lets_the_port_go(overheard):
-    overheard.close = Mock()
-    assert diagnose("here", lambda: overheard).healthy
-    assert overheard.close.called
-
-
 def test_doctor_sees_a_port_in_use_and_does_not_disturb_it(host_board):
     with HandLink(host_board.connect) as link:
         link.arm()
@@ -202,25 +195,19 @@ def test_doctor_sees_a_port_in_use_and_does_not_disturb_it(host_board):
 # -------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("output", [">&-", "> /dev/full"], ids=["closed", "full"])
-def test_an_estop_is_sent_and_told_whatever_standard_output_is(output, host_board):
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
+def test_an_estop_is_sent_and_told_whatever_standard_output_is(host_board):
+    said = "stopped: no pulses, fault estop; `hpac clear` leaves it\n"
     with HandLink(host_board.connect) as link:
         link.arm(Action.hold)
-        command = f"exec {sys.executable} -m hpac estop --port {host_board.port} {output}"
-        done = subprocess.run(command, shell=True, stderr=subprocess.PIPE, text=True, check=False)
-        assert not host_board.pulses().any()
-    said = "stopped: no pulses, fault estop; `hpac clear` leaves it\n"
-    assert (done.returncode, done.stderr) == (0, said)
-
-
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
-def test_an_estop_that_nothing_can_tell_of_ends_with_status_0(host_board):
-    command = f"exec {sys.executable} -m hpac estop --port {host_board.port} > /dev/full 2>&1"
-    assert subprocess.run(command, shell=True, check=False).returncode == 0
+        for output, told in ((">&-", said), ("> /dev/full", said), ("> /dev/full 2>&1", "")):
+            command = f"exec {sys.executable} -m hpac estop --port {host_board.port} {output}"
+            done = subprocess.run(command, shell=True, stderr=subprocess.PIPE, text=True)
+            assert (done.returncode, done.stderr) == (0, told)
+            assert not host_board.pulses().any()
 
 
 RUNNING = {
-    "wiggle": "import hpac; hpac.main(['wiggle', '--port', PORT])",
     "posture": "import hpac; hpac.main(['posture', 'fist', '--port', PORT])",
     "moves": """
 from hpac_gym.bridge import HandLink

@@ -60,27 +60,6 @@ def streamed(rng, count):
         yield command
 
 
-def test_handshake_greets_and_does_not_arm(virtual_hand, link):
-    assert link.info.firmware_version == "0.2.0"
-    assert (link.info.watchdog, link.info.boot_count) == (0.4, 1)
-    assert link.state == "idle"
-    assert not virtual_hand.pulses().any()
-
-
-def test_two_runs_give_the_same_pulses_to_the_nanosecond():
-    def trace():
-        pulses = []
-        hand = VirtualHand(on_pulses=lambda now_us, widths: pulses.append((now_us, *widths)))
-        with HandLink(hand.connect) as link:
-            link.arm()
-            for command in streamed(np.random.default_rng(3), 30):
-                link.move(command)
-            link.wait()
-        return np.array(pulses)
-
-    np.testing.assert_array_equal(trace(), trace())
-
-
 # --- refusals
 # -------------------------------------------------------------------------------------------------------
 
@@ -186,12 +165,13 @@ def test_a_fault_that_latched_before_the_wait_for_a_move_is_told_by_it(virtual_h
     assert link.wait().state == "fault", "it is told once"
 
 
-@pytest.mark.parametrize(("reset", "fault"), [(Reset.brownout, "brownout"), (Reset.crash, "crash")])
-def test_a_suspicious_reset_needs_a_clear(reset, fault):
-    with HandLink(VirtualHand(reset=reset).connect) as link:
-        with pytest.raises(FaultError):
+@pytest.mark.parametrize("reset", [Reset.brownout, Reset.crash], ids=lambda reset: reset.name)
+def test_a_suspicious_reset_needs_a_clear_by_any_program(reset):
+    hand = VirtualHand(reset=reset)
+    for _ in range(2):
+        with pytest.raises(FaultError, match=reset.name), HandLink(hand.connect) as link:
             link.arm()
-        assert link.status().fault == fault
+    with HandLink(hand.connect) as link:
         link.clear()
         link.arm()
         assert link.state == "armed"
@@ -218,7 +198,7 @@ def test_a_hand_that_has_held_for_an_hour_moves_again(link):
         link.move(command)
         link.wait()
         for _ in range(0x8001):
-            link.exchange.send("heartbeat")
+            link.exchange._frame("heartbeat", None)
 
 
 def test_a_hand_that_has_restarted_in_a_fault_says_that_the_link_is_over(virtual_hand, link):
@@ -412,6 +392,7 @@ def test_a_closed_hand_of_any_limits_opens_slowly_after_an_error(rate_limit, ben
     hand = dataclasses.replace(HPAC, rate_limit=rate_limit, workspace=workspace)
     course = []
     board = VirtualHand(
+        period_us=10_000,
         config=config_of(hand),
         on_pulses=lambda now_us, pulses: pulses.all() and course.append((now_us, *pulses)),
     )
@@ -430,9 +411,10 @@ def test_a_closed_hand_of_any_limits_opens_slowly_after_an_error(rate_limit, ben
     servo = servo_from_pulses(np.transpose(pulses), hand)
     np.testing.assert_allclose(servo[0], target, atol=2e-4)
     np.testing.assert_allclose(servo[-1], rest, atol=2e-4)
-    window = 100
-    speed = np.abs(servo[window:] - servo[:-window]).max(axis=1) / np.diff(now_us).mean() / window
-    assert 1e6 * speed.max() < 1.05 * GENTLE * rate_limit
+    window = 10
+    way = np.abs(servo[window:] - servo[:-window]).max(axis=1)
+    speed = 1e6 * way / (now_us[window:] - now_us[:-window])
+    assert speed.max() < 1.05 * GENTLE * rate_limit
 
 
 def test_a_trim_that_its_field_cannot_tell_is_a_config_fault_before_it_is_another_table():

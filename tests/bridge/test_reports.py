@@ -193,19 +193,6 @@ def test_round_trips_are_kept_within_bounds():
     assert statistics.round_trip(50) == pytest.approx(50_000.5)
 
 
-def test_what_belongs_to_a_connection_starts_anew_with_the_next():
-    hand = VirtualHand()
-    other = VirtualHand()
-    hands = iter((hand, other))
-    with HandLink(lambda: next(hands).connect()) as link:
-        link.arm(watchdog=2.0)
-        hand.run(1.0)
-        link.connect()
-        link.arm(watchdog=0.1)
-        link.sleep(1.0)
-        assert link.status().counters["watchdog_trips"] == 0
-
-
 # --- a socket
 # ---------------------------------------------------------------------------------------------------------
 
