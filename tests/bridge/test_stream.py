@@ -76,7 +76,7 @@ def test_every_command_is_acknowledged_and_the_last_one_reached():
     ],
     ids=str,
 )
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_no_command_is_refused_over_a_bad_link(bad, seed):
     counts, _, _ = streamed(seed=seed, **bad)
     assert (counts.sent, counts.refused) == (400, 0)
@@ -137,10 +137,16 @@ def test_a_busy_program_skips_periods_and_sends_no_burst(link, stream):
     assert (stream.counts.skipped, stream.counts.late, stream.counts.refused) == (3, 1, 0)
 
 
-def test_a_hot_hand_slows_down_and_goes_on(link, stream):
+def test_a_hot_hand_slows_down_and_goes_on(link):
+    link.arm(watchdog=2.0)
+    link.move(ServoCommand(HPAC.servo_max, 1.0))
+    link.sleep(140.0)  # at 0.8 of the heat that it may have, its rate begins to fall
+    link.move(ServoCommand(HPAC.servo_min, 1.0))
+    link.wait()
+    stream = link.stream()
     speeds = []
     servo = np.zeros(6)
-    for i in range(12_000):  # ten minutes
+    for i in range(2_400):  # two minutes
         before = servo
         servo = stream.send(HPAC.servo_max if i // 40 % 3 else HPAC.servo_min)
         speeds.append(np.abs(servo - before).max() / stream.period)
