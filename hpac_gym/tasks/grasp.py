@@ -33,14 +33,15 @@ from hpac_gym.tasks.phases import PHASES, wrist_table
 from hpac_gym.tasks.privileged import PRIVILEGED_TERMS
 from hpac_gym.tasks.scripted import Script, ScriptedClosure
 from hpac_gym.tasks.task import (
+    FAILURE,
+    RUNNING,
+    SUCCESS,
     Task,
     carry_term,
     contact_term,
     effort_term,
-    judged,
     open_hand,
     outcome_term,
-    paid_where,
 )
 from hpac_gym.tasks.terms import (
     COMMAND_TERMS,
@@ -211,7 +212,8 @@ class Grasp(Task):
         lifted = self.phase(state.time + dt / 2) >= SHAKE  # of the next step
         self.grip.settle(lifted & (ran < SHAKE))
         failed = (self.grip.moved > self.config.drop_distance) | (lifted & ~self.grip.holds)
-        return judged(failed, state.time >= self.duration - dt / 2)
+        over = np.where(state.time >= self.duration - dt / 2, SUCCESS, RUNNING)
+        return np.where(failed, FAILURE, over)
 
     def _push_term(self) -> RewardTerm:
         weight = self.config.weights.push
@@ -219,8 +221,8 @@ class Grasp(Task):
         return RewardTerm(
             "push",
             f"while closing: {weight:g} · min(displacement / drop_distance, 1)",
-            lambda now: paid_where(
-                now.began == CLOSE, lambda: weight * np.minimum(now.grip.moved / farthest, 1.0)
+            lambda now: np.where(
+                now.began == CLOSE, weight * np.minimum(now.grip.moved / farthest, 1.0), 0.0
             ),
         )
 

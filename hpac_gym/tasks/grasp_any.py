@@ -39,14 +39,13 @@ from hpac_gym.tasks.scripted import ScriptedGraspAny
 from hpac_gym.tasks.senses import LOAD_TERMS, VIEW_TARGET, Senses, ServoSenses
 from hpac_gym.tasks.task import (
     FAILURE,
+    RUNNING,
     SUCCESS,
     Task,
     carry_term,
     contact_score,
     effort_term,
-    judged,
     outcome_term,
-    paid_where,
 )
 from hpac_gym.tasks.terms import (
     COMMAND_TERMS,
@@ -144,7 +143,6 @@ class GraspAny(Task):
         )
         self.privileged_terms = (*PRIVILEGED_TERMS, *HIDDEN_TERMS)
         self.reward_terms = self._rewards()
-        self._score = contact_score(config.weights)
 
     def _rewards(self) -> tuple[RewardTerm, ...]:
         weights = self.config.weights
@@ -154,20 +152,21 @@ class GraspAny(Task):
                 "contact",
                 f"while closing, change of the contact score in this step: {weights.thumb:g} for the thumb, "
                 f"{weights.finger:g} for each finger, {weights.opposed:g} when they oppose each other",
-                lambda now: paid_where(now.began == CLOSE, lambda: self._gained[0]),
+                lambda now: np.where(now.began == CLOSE, self._gained[0], 0.0),
             ),
             RewardTerm(
                 "push",
                 f"while closing: {weights.push:g} · growth of the object's displacement as a fraction of `reach`",
-                lambda now: paid_where(now.began == CLOSE, lambda: weights.push * self._gained[1]),
+                lambda now: np.where(now.began == CLOSE, weights.push * self._gained[1], 0.0),
             ),
             carry_term(weights, CLOSE),
             RewardTerm(
                 "force",
                 f"{weights.force:g} · holding force / {config.ramp_force:g} N, once, at the end of a successful episode",
-                lambda now: paid_where(
+                lambda now: np.where(
                     now.outcome == SUCCESS,
-                    lambda: weights.force * (self.holding_force / config.ramp_force),
+                    weights.force * (self.holding_force / config.ramp_force),
+                    0.0,
                 ),
             ),
             effort_term(weights),
@@ -258,7 +257,7 @@ class GraspAny(Task):
         closing = phase == CLOSE
         self._grasped[closing] = state.object_rotation[closing]
         pushed = np.minimum(grip.moved / self.config.reach, 1.0)
-        closed = np.array([self._score(state.touching), pushed])
+        closed = np.array([contact_score(self.config.weights, state.touching), pushed])
         self._gained = closed - self._closed
         self._closed = closed
         shaken = ran > SHAKE
@@ -273,7 +272,8 @@ class GraspAny(Task):
             self.holding_force = np.where(pulled, self._ramp(state.time), self.holding_force)
         beyond = lengths(state.object_pos - GRASP_CENTRE) > self.config.reach
         failed = (closing & beyond) | ((phase >= SHAKE) & ~(shaken | held))
-        return judged(failed, shaken & (~held | (state.time >= self.duration - dt / 2)))
+        over = shaken & (~held | (state.time >= self.duration - dt / 2))
+        return np.where(failed, FAILURE, np.where(over, SUCCESS, RUNNING))
 
     def report(self, now: Moment) -> dict[str, Any]:
         return super().report(now) | {

@@ -35,7 +35,7 @@ from hpac_gym.tasks.grasp_type_data import (
 from hpac_gym.tasks.options import Option, config_option
 from hpac_gym.tasks.phases import CONTROL_HZ, Timetable
 from hpac_gym.tasks.scripted import CLOSE_TIME, Script
-from hpac_gym.tasks.task import FAILURE, SUCCESS, effort_term, outcome_term, paid_where
+from hpac_gym.tasks.task import FAILURE, SUCCESS, effort_term, outcome_term
 from hpac_gym.tasks.terms import (
     COMMAND_TERMS,
     OBJECT_TERMS,
@@ -164,12 +164,11 @@ class GraspByType(Grasp):
                 "contact",
                 f"while closing: {weights.touch:g} · fraction of the required parts that touch the object, {weights.avoid:g} "
                 "for each forbidden part that touches it",
-                lambda now: paid_where(
+                lambda now: np.where(
                     now.began == CLOSE,
-                    lambda: (
-                        weights.touch * self.holds.touched_share(now.state.touching)
-                        + weights.avoid * self.holds.forbidden(now.state.touching)
-                    ),
+                    weights.touch * self.holds.touched_share(now.state.touching)
+                    + weights.avoid * self.holds.forbidden(now.state.touching),
+                    0.0,
                 ),
             ),
             self._push_term(),
@@ -177,9 +176,10 @@ class GraspByType(Grasp):
                 "carry",
                 f"afterwards: {weights.carry:g} · max(1 − slip / MAX_SLIP, 0) for an object that the hand carries "
                 "free of its support, times the score of the type's rule: the mean over its clauses at the last evaluation",
-                lambda now: paid_where(
+                lambda now: np.where(
                     now.began != CLOSE,
-                    lambda: weights.carry * self.grip.firmness * self.holds.kept,
+                    weights.carry * self.grip.firmness * self.holds.kept,
+                    0.0,
                 ),
             ),
             effort_term(weights),

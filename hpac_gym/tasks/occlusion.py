@@ -157,33 +157,13 @@ def covered(
     b = (ray @ bone.swapaxes(1, 2))[world, point]
     c = (ray @ way.swapaxes(1, 2))[world, point]
     a = dots(ray, ray)[world, point, None]
-    e = dots(bone, bone).take(world, axis=0)
-    f = dots(bone, way).take(world, axis=0)
-    excess = dots(way, way) - (SKIN * radius) ** 2
-    # In place: with many worlds new memory for every operation costs more than the arithmetic.
-    along = b * f
-    along -= c * e
-    apart = a * e
-    apart -= b * b
-    along /= apart.clip(1e-18, None, out=apart)
-    across = b * along.clip(0.0, 1.0, out=along)
-    across += f
-    across /= e
-    np.multiply(b, across.clip(0.0, 1.0, out=across), out=along)
-    along -= c
-    along /= a
-    # excess + along (along a + 2 (c − across b)) + across (across e − 2 f)
-    distance = np.multiply(across, b, out=apart)
-    np.subtract(c, distance, out=distance)
-    distance *= 2
-    distance += along.clip(0.0, 1.0, out=along) * a
-    distance *= along
-    distance += excess.take(world, axis=0)
-    rest = np.multiply(across, e, out=b)
-    f *= 2
-    rest -= f
-    rest *= across
-    distance += rest
+    e = dots(bone, bone)[world]
+    f = dots(bone, way)[world]
+    excess = (dots(way, way) - (SKIN * radius) ** 2)[world]
+    along = ((b * f - c * e) / (a * e - b * b).clip(1e-18)).clip(0.0, 1.0)
+    across = ((b * along + f) / e).clip(0.0, 1.0)
+    along = ((b * across - c) / a).clip(0.0, 1.0)
+    distance = along * (along * a + 2 * (c - across * b)) + excess + across * (across * e - 2 * f)
     found = np.zeros(asked.shape, dtype=bool)
     found[world, point] = (distance < 0.0).any(axis=1)
     return found

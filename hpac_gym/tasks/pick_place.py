@@ -31,7 +31,6 @@ from hpac_gym.tasks.task import (
     effort_term,
     open_hand,
     outcome_term,
-    paid_where,
 )
 from hpac_gym.tasks.terms import (
     AXES,
@@ -163,27 +162,30 @@ class PickPlace(Task):
             RewardTerm(
                 "push",
                 f"while reaching and closing: {weights.push:g} · min(displacement / drop_distance, 1)",
-                lambda now: paid_where(
+                lambda now: np.where(
                     now.began <= CLOSE,
-                    lambda: weights.push * np.minimum(self._astray / config.drop_distance, 1.0),
+                    weights.push * np.minimum(self._astray / config.drop_distance, 1.0),
+                    0.0,
                 ),
             ),
             RewardTerm(
                 "carry",
                 f"from the lift until the hand is lowered: {weights.carry:g} for carrying the object free of its "
                 "support. Paid any longer, never releasing would be the best policy",
-                lambda now: paid_where(
+                lambda now: np.where(
                     (now.began > CLOSE) & ~self._lowered,
-                    lambda: weights.carry * (self.grip.time > 0),
+                    weights.carry * (self.grip.time > 0),
+                    0.0,
                 ),
             ),
             RewardTerm(
                 "place",
                 f"while placing: {weights.place:g} for an object that stands at its target, {weights.release:g} "
                 "more when the hand has released it",
-                lambda now: paid_where(
+                lambda now: np.where(
                     (now.began == PLACE) & self._standing,
-                    lambda: weights.place + weights.release * ~now.state.touching.any(axis=1),
+                    weights.place + weights.release * ~now.state.touching.any(axis=1),
+                    0.0,
                 ),
             ),
             effort_term(weights),

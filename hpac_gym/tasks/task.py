@@ -8,7 +8,6 @@ shows how to write one."""
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
 from math import isfinite
 from types import MappingProxyType
 from typing import Any
@@ -27,7 +26,7 @@ from hpac_gym.tasks.scripted import Script, ScriptedClosure
 from hpac_gym.tasks.terms import Moment, RewardTerm, Term
 
 OUTCOMES = ("running", "success", "failure")
-RUNNING, SUCCESS, FAILURE = range(len(OUTCOMES))  # `judged` counts on 0 and 1
+RUNNING, SUCCESS, FAILURE = range(len(OUTCOMES))
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,8 +172,8 @@ class Task(ABC):
         """
         return {
             "is_success": now.outcome == SUCCESS,
-            "outcome": _names(OUTCOMES).take(now.outcome),
-            "phase": _names(self.phases).take(now.phase),
+            "outcome": np.array(OUTCOMES, dtype=object)[now.outcome],
+            "phase": np.array(self.phases, dtype=object)[now.phase],
             "contact_force": np.add.reduce(now.state.contact_force, axis=1),
             "hold_time": now.grip.time.copy(),
             "slip": now.grip.slip.copy(),
@@ -198,37 +197,16 @@ FINGER_PARTS = slice(PARTS.index(FINGERS[0]), PARTS.index(FINGERS[-1]) + 1)
 THUMB_PART = PARTS.index("thumb")
 
 
-def contact_score(weights: Any) -> Callable[[NDArray[np.bool_]], Array]:
-    """Score of the parts that touch the object, shape (n,), as a function of
-    `SceneState.touching`.
-    """
-    sets = np.arange(1 << 8, dtype=np.uint8)[:, None]  # all that packbits makes of six parts
-    touching = np.unpackbits(sets, axis=1, count=len(PARTS)).astype(bool)
+def contact_score(weights: Any, touching: NDArray[np.bool_]) -> Array:
+    """Score of the parts that touch the object, shape (n,), for `SceneState.touching`."""
     fingers = touching[:, FINGER_PARTS].sum(axis=1)
     thumb = touching[:, THUMB_PART]
     opposed = thumb & (fingers > 0)
-    scores = weights.thumb * thumb + weights.finger * fingers + weights.opposed * opposed
-    return lambda touching: scores.take(np.packbits(touching, axis=1)[:, 0])
-
-
-def paid_where(where: NDArray[np.bool_], value: Callable[[], Array]) -> Array:
-    """The value in some worlds and 0 in the others, shape (n,); computed only if one is paid."""
-    paid = where.tolist()  # a list is asked in a third of the time of `any` and `all`
-    if True not in paid:
-        return np.zeros(len(where))
-    return np.where(where, value(), 0.0) if False in paid else value()
-
-
-def judged(failed: NDArray[np.bool_], over: NDArray[np.bool_]) -> NDArray[np.int_]:
-    """Indices into `OUTCOMES`, shape (n,): failure, else success of episodes that are over."""
-    outcome = over.astype(int)
-    outcome[failed] = FAILURE
-    return outcome
+    return weights.thumb * thumb + weights.finger * fingers + weights.opposed * opposed
 
 
 def contact_term(weights: Any, phase: int) -> RewardTerm:
     """Reward for touching the object in one phase."""
-    score = contact_score(weights)
     meaning = (
         f"while closing: {weights.thumb:g} for the thumb and {weights.finger:g} for each finger that touches the object, "
         f"{weights.opposed:g} when they oppose each other"
@@ -236,7 +214,7 @@ def contact_term(weights: Any, phase: int) -> RewardTerm:
     return RewardTerm(
         "contact",
         meaning,
-        lambda now: paid_where(now.began == phase, lambda: score(now.state.touching)),
+        lambda now: np.where(now.began == phase, contact_score(weights, now.state.touching), 0.0),
     )
 
 
@@ -245,7 +223,7 @@ def carry_term(weights: Any, closing: int) -> RewardTerm:
     return RewardTerm(
         "carry",
         f"afterwards: {weights.carry:g} · max(1 − slip / MAX_SLIP, 0) for an object that the hand carries free of its support",
-        lambda now: paid_where(now.began != closing, lambda: weights.carry * now.grip.firmness),
+        lambda now: np.where(now.began != closing, weights.carry * now.grip.firmness, 0.0),
     )
 
 
@@ -263,8 +241,3 @@ def outcome_term(weights: Any) -> RewardTerm:
     by_outcome = np.array([0.0, weights.success, weights.failure])
     meaning = f"{weights.success:g} for success or {weights.failure:g} for failure, once"
     return RewardTerm("outcome", meaning, lambda now: by_outcome.take(now.outcome))
-
-
-@cache
-def _names(names: tuple[str, ...]) -> NDArray[np.object_]:
-    return np.array(names, dtype=object)
