@@ -14,8 +14,7 @@ from hpac_gym.model import HPAC, JOINTS, SERVOS
 from hpac_gym.output import markdown
 from hpac_gym.registration import IDS
 from hpac_gym.tasks.grasp_data import GRASPS
-from hpac_gym.tasks.options import Option
-from hpac_gym.tasks.task import CONTROL_HZ, Task
+from hpac_gym.tasks.task import CONTROL_HZ, Option, Task
 from hpac_gym.tasks.terms import Term
 
 Makers = dict[str, Callable[[], str]]

@@ -24,7 +24,7 @@ from hpac_gym.physics.engine import Engine, PhysicsError, PhysicsWarning, SceneS
 from hpac_gym.physics.settings import BODIES, HandSettings
 from hpac_gym.physics.simulation import Simulation, make_engine
 from hpac_gym.settings import check_choice
-from hpac_gym.tasks.quality import contact_wrenches, largest_ball
+from hpac_gym.tasks.grip import contact_wrenches, largest_ball
 from hpac_gym.tasks.task import CONTROL_HZ, FAILURE, OUTCOMES, RUNNING, GoalSetup, Task
 from hpac_gym.tasks.terms import Moment, require_own_names
 

@@ -17,8 +17,7 @@ from hpac_gym.envs.vector_env import HandVectorEnv
 from hpac_gym.envs.vector_infos import check_lengths
 from hpac_gym.errors import ParameterError
 from hpac_gym.registration import IDS, Registered, add_row, row_of
-from hpac_gym.tasks.options import Option, options_of
-from hpac_gym.tasks.task import Task
+from hpac_gym.tasks.task import Option, Task, options_of
 
 _UNLISTED = ("transmit", "physics", "max_episode_steps")
 """Arguments of the environments that no page lists: not options of an id."""

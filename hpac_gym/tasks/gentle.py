@@ -17,11 +17,14 @@ from hpac_gym.tasks.cameras import CameraNoise
 from hpac_gym.tasks.grasp import OBJECT_OPTION, Grasp
 from hpac_gym.tasks.grasp_setups import GraspConfig, GraspWeights
 from hpac_gym.tasks.occlusion import Rows
-from hpac_gym.tasks.options import Option, config_option
 from hpac_gym.tasks.phases import Timetable
 from hpac_gym.tasks.privileged import PRIVILEGED_TERMS
 from hpac_gym.tasks.senses import LOAD_TERMS, VIEW_TARGET, Senses, ServoSenses
-from hpac_gym.tasks.task import FAILURE
+from hpac_gym.tasks.task import (
+    FAILURE,
+    Option,
+    config_option,
+)
 from hpac_gym.tasks.terms import Moment, RewardTerm, Term, column
 
 LIMIT_UNIT = 5.0

@@ -28,7 +28,6 @@ from hpac_gym.tasks.grasp_setups import (
     setup_of_grasp,
 )
 from hpac_gym.tasks.occlusion import SKIN
-from hpac_gym.tasks.options import Option, config_option
 from hpac_gym.tasks.phases import PHASES, wrist_table
 from hpac_gym.tasks.privileged import PRIVILEGED_TERMS
 from hpac_gym.tasks.scripted import Script, ScriptedClosure
@@ -36,8 +35,10 @@ from hpac_gym.tasks.task import (
     FAILURE,
     RUNNING,
     SUCCESS,
+    Option,
     Task,
     carry_term,
+    config_option,
     contact_term,
     effort_term,
     open_hand,

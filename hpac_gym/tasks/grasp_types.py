@@ -32,10 +32,16 @@ from hpac_gym.tasks.grasp_type_data import (
     GraspType,
     chosen_types,
 )
-from hpac_gym.tasks.options import Option, config_option
 from hpac_gym.tasks.phases import CONTROL_HZ, Timetable
 from hpac_gym.tasks.scripted import CLOSE_TIME, Script
-from hpac_gym.tasks.task import FAILURE, SUCCESS, effort_term, outcome_term
+from hpac_gym.tasks.task import (
+    FAILURE,
+    SUCCESS,
+    Option,
+    config_option,
+    effort_term,
+    outcome_term,
+)
 from hpac_gym.tasks.terms import (
     COMMAND_TERMS,
     OBJECT_TERMS,

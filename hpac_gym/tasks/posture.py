@@ -24,10 +24,14 @@ from hpac_gym.model.checks import Array, as_array
 from hpac_gym.physics.engine import SceneSetup, SceneState
 from hpac_gym.settings import check_bounds, setting, settings_from
 from hpac_gym.tasks.cameras import CameraNoise, MarkerCamera
-from hpac_gym.tasks.options import config_option
 from hpac_gym.tasks.privileged import HAND_TERMS
 from hpac_gym.tasks.scripted import Script
-from hpac_gym.tasks.task import RUNNING, GoalSetup, Task
+from hpac_gym.tasks.task import (
+    RUNNING,
+    GoalSetup,
+    Task,
+    config_option,
+)
 from hpac_gym.tasks.terms import COMMAND_TERMS, Layout, Moment, RewardTerm, Term
 
 TOLERANCE = 0.05

@@ -202,7 +202,7 @@ def unforgiving(grip: Grip, *given: Any) -> None:
 @pytest.mark.parametrize(
     ("name", "number", "value"),
     [
-        ("HPAC-Grasp-v0/privileged/held", "tasks.quality.CONE_EDGES", 4),
+        ("HPAC-Grasp-v0/privileged/held", "tasks.grip.CONE_EDGES", 4),
         ("HPAC-Grasp-v0", "tasks.terms.LENGTH_UNIT", 0.051),
         ("HPAC-Grasp-v0/nominal/privileged", "tasks.privileged.FORCE_UNIT", 10.1),
         ("HPAC-Grasp-v0/nominal/privileged", "tasks.privileged.SPEED_UNIT", 10.1),
