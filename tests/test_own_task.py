@@ -20,7 +20,7 @@ from hpac_gym.envs.registered import options_of_id
 from hpac_gym.envs.snapshots import undeclared
 from hpac_gym.errors import EnvError, HpacError, ParameterError
 from hpac_gym.evaluation.environment import make_env
-from hpac_gym.tasks.grasp_setups import GraspConfig
+from hpac_gym.tasks.grasp import GraspConfig
 from hpac_gym.tasks.task import Task
 from hpac_gym.tasks.terms import RewardTerm, Term, column
 from tests.processes import ROOT, python

@@ -18,8 +18,7 @@ from hpac_gym.physics.engine import (
     matrix_from_quaternion,
 )
 from hpac_gym.physics.supports import POST, support_boxes
-from hpac_gym.tasks.grasp_data import NamedGrasp
-from hpac_gym.tasks.grasp_setups import quaternion_from_rpy
+from hpac_gym.tasks.grasp_data import NamedGrasp, quaternion_from_rpy
 from hpac_gym.tasks.occlusion import SKIN, Skeleton, inside
 
 WRIST_ACTIONS = ("grasp_x", "grasp_y", "grasp_z", "turn_x", "turn_y", "turn_z")

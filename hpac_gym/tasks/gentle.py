@@ -14,8 +14,7 @@ from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import SceneSetup, SceneState
 from hpac_gym.settings import setting
 from hpac_gym.tasks.cameras import CameraNoise
-from hpac_gym.tasks.grasp import OBJECT_OPTION, Grasp
-from hpac_gym.tasks.grasp_setups import GraspConfig, GraspWeights
+from hpac_gym.tasks.grasp import OBJECT_OPTION, Grasp, GraspConfig, GraspWeights
 from hpac_gym.tasks.occlusion import Rows
 from hpac_gym.tasks.phases import Timetable
 from hpac_gym.tasks.privileged import PRIVILEGED_TERMS

@@ -1,6 +1,7 @@
 """The grasp task: close on an object, lift it, keep it through a shake, and bring it down again."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
 from typing import Annotated, Any
 
 import numpy as np
@@ -12,23 +13,17 @@ from hpac_gym.errors import ParameterError
 from hpac_gym.model import HPAC, Hand
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import SceneSetup, SceneState
-from hpac_gym.settings import settings_from
+from hpac_gym.settings import check_bounds, setting, settings_from
 from hpac_gym.tasks.arrival import points_in_object
 from hpac_gym.tasks.grasp_data import (
     GRASPS,
     NOMINAL,
     GraspError,
     named_grasp,
-)
-from hpac_gym.tasks.grasp_setups import (
-    OBJECT_RANGES,
-    PALM_SURFACE,
-    RANGES,
-    GraspConfig,
     setup_of_grasp,
 )
 from hpac_gym.tasks.occlusion import SKIN
-from hpac_gym.tasks.phases import PHASES, wrist_table
+from hpac_gym.tasks.phases import PHASES, Timetable, wrist_table
 from hpac_gym.tasks.privileged import PRIVILEGED_TERMS
 from hpac_gym.tasks.scripted import Script, ScriptedClosure
 from hpac_gym.tasks.task import (
@@ -56,6 +51,11 @@ SHAKE = PHASES.index("shake")
 PLACES = 50
 MOST_PLACES = 1_000
 """Places that are drawn for an object of one's own: before it is refused, and in an episode."""
+PALM_SURFACE = 0.0125
+"""Distance of the palm's surface from the yz-plane of the hand frame [m]."""
+
+OBJECT_RANGES = ("radius", "sphere_radius", "half_height", "mass", "friction")
+"""Fields of `GraspConfig` that draw the object itself."""
 GRASP_OPTION = Option(
     "a named grasp with its object; None draws a primitive in front of the open hand",
     (None, *GRASPS),
@@ -70,6 +70,82 @@ OBJECT_OPTION = Option(
     (None,),
     "`hpac_gym.body.objects.ObjectSpec`, dictionary",
 )
+
+
+@dataclass(frozen=True, slots=True)
+class GraspWeights:
+    """Weights of the dense reward terms."""
+
+    thumb: float = 0.1
+    finger: float = 0.05
+    opposed: float = 0.2
+    push: float = -0.3
+    carry: float = 0.5
+    effort: float = -0.01
+    success: float = 10.0
+    failure: float = -5.0
+
+
+@dataclass(frozen=True, slots=True)
+class GraspConfig:
+    """Uniform sampling ranges of an episode, drop criterion, and reward weights.
+
+    Raises:
+        ParameterError: A number or a range leaves its bounds.
+    """
+
+    radius: tuple[float, float] = setting(
+        (0.010, 0.030), "half width of a box, radius of a cylinder [m]", bounds=(0.002, 0.06)
+    )
+    sphere_radius: tuple[float, float] = setting(
+        (0.020, 0.033),
+        "radius of a sphere, a golf ball's to a tennis ball's; smaller ones roll off before the hand closes [m]",
+        bounds=(0.002, 0.06),
+    )
+    half_height: tuple[float, float] = setting(
+        (0.030, 0.060), "half-height of a box or cylinder [m]", bounds=(0.005, 0.15)
+    )
+    mass: tuple[float, float] = setting((0.05, 0.25), "mass of the object [kg]", bounds=(1e-3, 2.0))
+    friction: tuple[float, float] = setting(
+        (0.6, 1.0),
+        "Coulomb coefficient of the object's surface; the hand's skin multiplies it by 0.9",
+        bounds=(0.05, 3.0),
+    )
+    gap: tuple[float, float] = setting(
+        (0.003, 0.030), "distance from the palm to the object [m]", bounds=(0.0, 0.1)
+    )
+    towards_thumb: tuple[float, float] = setting(
+        (-0.030, 0.035),
+        "place of the object's centre along y of the hand frame [m]",
+        bounds=(-0.1, 0.1),
+    )
+    beyond_wrist: tuple[float, float] = setting(
+        (0.095, 0.140),
+        "place of the object's centre along z of the hand frame [m]",
+        bounds=(0.02, 0.25),
+    )
+    box_yaw: tuple[float, float] = setting(
+        (-0.8, 0.8), "yaw of a box about the vertical [rad]", bounds=(-np.pi, np.pi)
+    )
+    thumb_preshape: float = setting(
+        1.2, "initial CMC, at which the thumb opposes the fingers [rad]", bounds=(0.0, 1.57)
+    )
+    drop_distance: float = setting(
+        0.06, "displacement in the hand beyond which an object is dropped [m]", bounds=(5e-3, 1.0)
+    )
+    timetable: Timetable = field(default_factory=Timetable)
+    weights: GraspWeights = field(default_factory=GraspWeights)
+
+    def __post_init__(self) -> None:
+        check_bounds(self, "config")
+
+
+RANGES = tuple(
+    entry.name
+    for entry in fields(GraspConfig)
+    if "bounds" in entry.metadata and entry.name != "drop_distance"
+)
+"""Fields of `GraspConfig` that draw an episode."""
 
 
 class Grasp(Task):

@@ -1,5 +1,5 @@
 """The sixteen named grasps as data: object, hand shape, wrist pose, support, noise and held-out
-variants.
+variants; and the draw of their episodes.
 
 The numbers are in ``data/grasps.toml``; the names are those of the grasp shapes in
 `hpac_gym.model.POSTURES`."""
@@ -7,17 +7,20 @@ The numbers are in ``data/grasps.toml``; the names are those of the grasp shapes
 import difflib
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.resources import files
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from hpac_gym.body.object_models import ObjectModel, load_object_models
-from hpac_gym.body.objects import Support
+from hpac_gym.body.objects import ObjectSpec, Support
 from hpac_gym.errors import HpacError
+from hpac_gym.model import HPAC, Hand
 from hpac_gym.model.checks import Array, read_only
+from hpac_gym.physics.engine import SceneSetup
 
 DATA = files("hpac_gym.tasks") / "data"
 NOMINAL = "nominal"
@@ -134,6 +137,43 @@ def _variants(
         known = {"object": models[table["object"]]} if "object" in table else {}
         found[name] = Variant(**table | known)
     return found
+
+
+def setup_of_grasp(
+    grasp: NamedGrasp,
+    variant: Variant,
+    rng: np.random.Generator,
+    hand: Hand = HPAC,
+    spread: float = 1.0,
+) -> SceneSetup:
+    """Draw one episode of a named grasp, with `spread` times its position and yaw noise."""
+    model = variant.object or grasp.object
+    spec = ObjectSpec(
+        model.shape,
+        tuple(variant.scale * half for half in model.half_extents),
+        variant.mass * model.mass,
+        variant.friction * grasp.friction,
+        model.name,
+        variant.scale,
+    )
+    noise = spread * rng.uniform(-1.0, 1.0, 4)
+    gap = grasp.support.gap and tuple((np.array(grasp.support.gap) * variant.scale).tolist())
+    return SceneSetup(
+        spec,
+        np.array(grasp.position) + noise[:3] * grasp.position_noise,
+        float(noise[3] * grasp.yaw_noise),
+        grasp.preshape,
+        hand,
+        hand_quaternion=quaternion_from_rpy(grasp.hand_rpy),
+        object_quaternion=quaternion_from_rpy(grasp.object_rpy),
+        support=replace(grasp.support, gap=gap),
+    )
+
+
+def quaternion_from_rpy(rpy: tuple[float, float, float]) -> tuple[float, float, float, float]:
+    """The quaternion xyzw of URDF's fixed-axis roll, pitch, yaw: Rz(yaw) Ry(pitch) Rx(roll)."""
+    x, y, z, w = Rotation.from_euler("xyz", rpy).as_quat().tolist()
+    return x, y, z, w
 
 
 GRASPS: Mapping[str, NamedGrasp] = MappingProxyType(

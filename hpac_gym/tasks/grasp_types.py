@@ -22,9 +22,8 @@ from hpac_gym.settings import check_bounds, check_choice, setting
 from hpac_gym.tasks.arrival import WRIST_ACTIONS, arrived, in_the_way, out_of_reach, wrist_choice
 from hpac_gym.tasks.cameras import CameraNoise, ObjectCamera
 from hpac_gym.tasks.grasp import CLOSE, Grasp
-from hpac_gym.tasks.grasp_data import NOMINAL
+from hpac_gym.tasks.grasp_data import NOMINAL, setup_of_grasp
 from hpac_gym.tasks.grasp_rules import Judged
-from hpac_gym.tasks.grasp_setups import setup_of_grasp
 from hpac_gym.tasks.grasp_type_data import (
     GRASP_TYPES,
     TYPE_SPLITS,

@@ -16,7 +16,7 @@ from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import HAND_QUATERNION, SceneSetup, SceneState, Viewpoint
 from hpac_gym.settings import check_bounds, setting, settings_from
 from hpac_gym.tasks.cameras import CameraNoise, ObjectCamera
-from hpac_gym.tasks.grasp_setups import PALM_SURFACE, GraspWeights
+from hpac_gym.tasks.grasp import PALM_SURFACE, GraspWeights
 from hpac_gym.tasks.phases import PickPlaceTimetable
 from hpac_gym.tasks.privileged import PRIVILEGED_TERMS
 from hpac_gym.tasks.scripted import ScriptedPickPlace

@@ -19,7 +19,8 @@ from hpac_gym.physics.engine import (
     SceneSetup,
     matrix_from_quaternion,
 )
-from hpac_gym.tasks.grasp_setups import PALM_SURFACE, quaternion_from_rpy
+from hpac_gym.tasks.grasp import PALM_SURFACE
+from hpac_gym.tasks.grasp_data import quaternion_from_rpy
 
 TILT = np.deg2rad(16.0)
 """Downward tilt of the fingers of a hand above an object, at which they reach as deep as the thumb

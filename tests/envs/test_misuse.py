@@ -25,7 +25,7 @@ from hpac_gym.model import HPAC
 from hpac_gym.physics.engine import SceneSetup
 from hpac_gym.registration import GENTLE, GRASP, GRASP_ANY, GRASP_TYPE, IDS, PICK_PLACE, POSTURE
 from hpac_gym.tasks.cameras import CameraNoise
-from hpac_gym.tasks.grasp_setups import GraspConfig, GraspWeights
+from hpac_gym.tasks.grasp import GraspConfig, GraspWeights
 from hpac_gym.tasks.phases import Timetable
 from hpac_gym.tasks.posture import PostureConfig
 from hpac_gym.tasks.terms import GRASP_CENTRE, LENGTH_UNIT

@@ -22,8 +22,7 @@ from hpac_gym.physics.pybullet.scene import Scene
 from hpac_gym.physics.pybullet.world import World
 from hpac_gym.physics.settings import WorldSettings
 from hpac_gym.tasks.grasp import Grasp
-from hpac_gym.tasks.grasp_data import GRASPS, NOMINAL
-from hpac_gym.tasks.grasp_setups import quaternion_from_rpy
+from hpac_gym.tasks.grasp_data import GRASPS, NOMINAL, quaternion_from_rpy
 
 MODELS = load_object_models()
 

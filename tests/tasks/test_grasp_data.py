@@ -9,8 +9,7 @@ from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.model import HPAC, POSTURES
 from hpac_gym.physics.engine import matrix_from_quaternion
 from hpac_gym.tasks.grasp import Grasp
-from hpac_gym.tasks.grasp_data import GRASPS, NOMINAL
-from hpac_gym.tasks.grasp_setups import quaternion_from_rpy
+from hpac_gym.tasks.grasp_data import GRASPS, NOMINAL, quaternion_from_rpy
 
 NAMES = list(GRASPS)
 MODELS = load_object_models()

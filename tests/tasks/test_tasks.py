@@ -12,9 +12,8 @@ from hpac_gym.model import FINGERS, HPAC, elastic_joints_from_servo
 from hpac_gym.physics.engine import PARTS, Contacts, SceneState, matrix_from_quaternion
 from hpac_gym.tasks.cameras import CameraNoise
 from hpac_gym.tasks.gentle import Gentle
-from hpac_gym.tasks.grasp import Grasp, GraspConfig
+from hpac_gym.tasks.grasp import PALM_SURFACE, Grasp, GraspConfig, GraspWeights
 from hpac_gym.tasks.grasp_any import GraspAny, GraspAnyConfig
-from hpac_gym.tasks.grasp_setups import PALM_SURFACE, GraspWeights
 from hpac_gym.tasks.grasp_types import GraspByType, GraspTypeConfig
 from hpac_gym.tasks.phases import PickPlaceTimetable
 from hpac_gym.tasks.pick_place import PickPlace, PickPlaceConfig
