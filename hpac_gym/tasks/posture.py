@@ -81,11 +81,6 @@ class PostureConfig:
         check_bounds(self, "config")
 
 
-def goal_error(achieved: Array, desired: Array) -> Array:
-    """Distance of every joint from its goal, shapes (..., 15) [rad]."""
-    return np.abs(np.asarray(achieved, dtype=float) - desired)
-
-
 class Posture(Task):
     """Draws goals and measures how far the joints are from them: a `hpac_gym.tasks.task.Task`.
 
@@ -187,16 +182,14 @@ class Posture(Task):
         Raises:
             ShapeError: Another shape.
         """
-        error = goal_error(
-            as_array(achieved, len(JOINTS), "achieved_goal"),
-            as_array(desired, len(JOINTS), "desired_goal"),
-        )
+        reached = as_array(achieved, len(JOINTS), "achieved_goal")
+        error = np.abs(reached - as_array(desired, len(JOINTS), "desired_goal"))
         if dense:
             return -error.mean(axis=-1)
         return (error.max(axis=-1) <= self.config.tolerance) - 1.0  # a NaN has not reached it
 
     def report(self, now: Moment) -> dict[str, Any]:
-        largest = goal_error(*self._goals).max(axis=1)
+        largest = np.abs(np.subtract(*self._goals, dtype=float)).max(axis=1)
         return {"is_success": largest <= self.config.tolerance, "largest_error": largest}
 
     def script(self) -> ScriptedPosture:

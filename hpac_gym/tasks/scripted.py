@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpac_gym.model import HPAC, action_from_synergy
-from hpac_gym.model.checks import Array
 from hpac_gym.tasks.grasp_data import NamedGrasp
 from hpac_gym.tasks.phases import CONTROL_HZ, PickPlaceTimetable
 from hpac_gym.tasks.terms import LENGTH_UNIT, Layout, Term
@@ -81,6 +80,10 @@ class Script:
         """The next action, shape (6,), −1…1; the numbers of a free wrist follow."""
         raise NotImplementedError
 
+    def _share(self, begin: float, duration: float) -> float:
+        """Fraction of a closure from a time on [s] that is complete."""
+        return min(max(self._time - begin, 0.0) / duration, 1.0)
+
 
 class ScriptedClosure(Script):
     """Closes all digits at constant speed, then holds, regardless of the observation.
@@ -91,17 +94,17 @@ class ScriptedClosure(Script):
     """
 
     def __init__(self, grasp: NamedGrasp | None = None) -> None:
-        self._grasp = grasp
+        self._open = np.array([0.0, 0.0, 0.0, 0.0, 0.0, THUMB_OPPOSED])
+        self._closed = np.array([THUMB_CLOSED, *HPAC.synergy_max[_FINGERS], THUMB_OPPOSED])
+        if grasp is not None:
+            self._open = grasp.preshape
+            self._closed = grasp.closed
 
     def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
         """The next action, shape (6,); the observation is ignored."""
         self._time += 1 / CONTROL_HZ
-        share = min(self._time / CLOSE_TIME, 1.0)
-        if self._grasp is not None:
-            synergy = self._grasp.preshape + share * (self._grasp.closed - self._grasp.preshape)
-            return action_from_synergy(synergy).astype(np.float32)
-        fingers = share * HPAC.synergy_max[_FINGERS]
-        return _action(fingers, share * THUMB_CLOSED, THUMB_OPPOSED)
+        synergy = self._open + self._share(0.0, CLOSE_TIME) * (self._closed - self._open)
+        return action_from_synergy(synergy).astype(np.float32)
 
 
 class ScriptedGraspAny(Script):
@@ -127,11 +130,11 @@ class ScriptedGraspAny(Script):
         self._time += 1 / CONTROL_HZ
         closure = self._closure
         fingers = np.minimum(closure.fingers, HPAC.synergy_max[_FINGERS])
-        fingers *= min(max(self._time - max(-closure.thumb_later, 0.0), 0.0) / closure.time, 1.0)
-        share = min(max(self._time - max(closure.thumb_later, 0.0), 0.0) / THUMB_TIME, 1.0)
-        turned = min(self._time / OPPOSED_TIME, 1.0)
-        opposed = THUMB_OPPOSED + (closure.opposed - THUMB_OPPOSED) * turned
-        return np.append(_action(fingers, closure.thumb * share, opposed), self._wrist)
+        fingers *= self._share(max(-closure.thumb_later, 0.0), closure.time)
+        thumb = closure.thumb * self._share(max(closure.thumb_later, 0.0), THUMB_TIME)
+        turn = (closure.opposed - THUMB_OPPOSED) * self._share(0.0, OPPOSED_TIME)
+        action = action_from_synergy([thumb, *fingers, THUMB_OPPOSED + turn]).astype(np.float32)
+        return np.append(action, self._wrist)
 
     def kind(self, vector: NDArray[np.float32]) -> tuple[bool, int]:
         """Whether the hand is beside the object, and the index of its width along the fingers in
@@ -168,15 +171,7 @@ class ScriptedPickPlace(Script):
     def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
         """The next action, shape (6,); the observation is ignored."""
         self._time += 1 / CONTROL_HZ
-        share = min(max((self._time - self._close) / PLACE_TIME, 0.0), 1.0)
-        if self._time >= self._open:
-            share = 0.0
+        share = self._share(self._close, PLACE_TIME) if self._time < self._open else 0.0
         fingers = PLACE_CLOSED * HPAC.synergy_max[_FINGERS] * share
-        return _action(fingers, share * PLACE_THUMB, PLACE_OPPOSED)
-
-
-def _action(fingers: Array, thumb: float, opposed: float) -> NDArray[np.float32]:
-    """The action for MCP of the fingers, shape (4,), and MP and CMC of the thumb [rad], shape
-    (6,), in the order of `SERVOS`.
-    """
-    return action_from_synergy([thumb, *fingers, opposed]).astype(np.float32)
+        synergy = [share * PLACE_THUMB, *fingers, PLACE_OPPOSED]
+        return action_from_synergy(synergy).astype(np.float32)

@@ -4,6 +4,7 @@ their load.
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from operator import attrgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,8 +24,10 @@ _SPREAD = 160
 """Number of points sampled on an object's surface; less than half of them face the camera."""
 _PROBED = 48
 """Number of those points that decide whether the object is seen."""
-_LAW = ("servo_radius", "alpha", "squares", "product", "length", "stiffness", "limit")
+_LAW = attrgetter("servo_radius", "alpha", "squares", "product", "length", "stiffness", "limit")
 """Fields of a `Drive` that its tension at rest depends on."""
+_OF_CAMERA = ("position", "up", "side", "half_extents")
+"""What `ObjectCamera.look` measures."""
 SEEN_SHARE = 0.7
 """Least visible fraction of the camera-facing points of a seen object; chosen: a tracker needs most
 of the outline.
@@ -127,16 +130,10 @@ class Senses:
         self._bias = np.zeros((num_worlds, len(DIGITS)))
         self._zero = np.zeros((num_worlds, len(SERVOS)))
         self._count = np.zeros(num_worlds, dtype=int)
-        sizes = {
-            "position": 3,
-            "up": 3,
-            "side": 3,
-            "half_extents": 3,
-            "load": len(DIGITS),
-            "horn": len(SERVOS),
-        }
-        self._seen = {name: np.zeros((num_worlds, size)) for name, size in sizes.items()} | {
-            "visible": np.zeros(num_worlds)
+        self._seen = {name: np.zeros((num_worlds, 3)) for name in _OF_CAMERA} | {
+            "load": np.zeros((num_worlds, len(DIGITS))),
+            "horn": np.zeros((num_worlds, len(SERVOS))),
+            "visible": np.zeros(num_worlds),
         }
 
     def start(self, world: int, setup: SceneSetup, factor: float, rng: np.random.Generator) -> None:
@@ -151,11 +148,8 @@ class Senses:
         if self._servos is not None:
             settings = setup.hand_settings
             self._zero[world] = settings.servo_zero
-            for digit, values in enumerate(
-                zip(setup.hand.digits.values(), settings.slack, settings.strength, strict=True)
-            ):
-                drive = Drive.of(*values)
-                self._drives[world, :, digit] = [getattr(drive, name) for name in _LAW]
+            digits = zip(setup.hand.digits.values(), settings.slack, settings.strength, strict=True)
+            self._drives[world] = np.transpose([_LAW(Drive.of(*values)) for values in digits])
             deviation = self._servos.load_bias * factor
             self._bias[world] = deviation * self._rng[world].standard_normal(len(DIGITS))
         self._count[world] = 0
@@ -182,7 +176,7 @@ class Senses:
         visible = self._share(state, slice(None) if every else rows) >= SEEN_SHARE
         self._seen["visible"][rows] = visible
         taken = rows[visible | first]  # in the first look the hand is not there yet
-        for name in ("position", "up", "side", "half_extents"):
+        for name in _OF_CAMERA:
             self._seen[name][taken] = seen[name][taken]
         if self._servos is not None:
             self._read_servos(state, rows[self._count[rows] % self._servos.period == 0])
