@@ -20,7 +20,7 @@ from hpac_gym.envs.randomization import PRESETS
 from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, Array, joints_from_synergy
 from hpac_gym.output import write_text
 from hpac_gym.physics.simulation import SET_UPS
-from hpac_gym.tasks.grasp_type_data import GRASP_TYPES, GraspType
+from hpac_gym.tasks.grasp_rules import GRASP_TYPES, GraspType
 from tools.type_trials import TypeTrial, run_types
 
 ROOT = Path(__file__).parents[1] / "hpac_gym"

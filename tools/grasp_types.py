@@ -28,7 +28,7 @@ from hpac_gym.physics.engine import PARTS
 from hpac_gym.physics.simulation import SET_UPS
 from hpac_gym.policies.loading import load_policy
 from hpac_gym.progress import progress
-from hpac_gym.tasks.grasp_type_data import GRASP_TYPES, data_text
+from hpac_gym.tasks.grasp_rules import GRASP_TYPES, data_text
 from tools.type_trials import run_types
 
 RESULTS = Path(__file__).parents[1] / "docs" / "grasp_types.json"
@@ -98,7 +98,7 @@ def rule_table() -> str:
     """Table of the objects, descriptions and rules of the grasp types."""
     rows = []
     for name, kind in GRASP_TYPES.items():
-        words = "; ".join(term for term, _ in kind.rule.terms())
+        words = "; ".join(words for words, *_ in kind.rule.terms())
         rows.append(
             [
                 f"`{name}`",

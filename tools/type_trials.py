@@ -20,7 +20,7 @@ from hpac_gym.physics.simulation import make_engine
 from hpac_gym.policies.policy import EpisodePolicy
 from hpac_gym.tasks.grasp_data import NamedGrasp
 from hpac_gym.tasks.grasp_holds import Hold, part_of
-from hpac_gym.tasks.grasp_type_data import GraspType
+from hpac_gym.tasks.grasp_rules import GraspType
 from hpac_gym.tasks.grasp_types import GraspByType
 from hpac_gym.tasks.scripted import CLOSE_TIME
 from hpac_gym.tasks.task import CONTROL_HZ

@@ -15,7 +15,7 @@ from hpac_gym.errors import EnvError, HpacError
 from hpac_gym.evaluation.environment import make_env
 from hpac_gym.policies.made_for import made_for
 from hpac_gym.registration import GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE, POSTURE
-from hpac_gym.tasks.grasp_type_data import data_text
+from hpac_gym.tasks.grasp_rules import data_text
 
 SCHEMA = "hpac-benchmark-1"
 BUDGETS = (0, 100_000, 1_000_000, 10_000_000)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from hpac_gym.errors import PolicyError
 from hpac_gym.policies.made_for import id_of
 from hpac_gym.policies.policy import EpisodePolicy, Memory
-from hpac_gym.tasks.grasp_type_data import GRASP_TYPES
+from hpac_gym.tasks.grasp_rules import GRASP_TYPES
 from hpac_gym.tasks.grasp_types import GraspByType, ScriptedGraspType
 from hpac_gym.tasks.posture import ScriptedPosture
 from hpac_gym.tasks.scripted import Script, ScriptedClosure

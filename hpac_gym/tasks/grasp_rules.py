@@ -1,44 +1,45 @@
-"""Rules that define the grasp types: which parts of the hand touch the object, where, and with what
+"""The sixteen grasp types as data: the placement of the object for the posture of the same name, and
+the rule by which the grasp is judged: which parts of the hand touch the object, where, and with what
 force.
 
-A `Rule` is evaluated on a `Hold`, some looks at the contacts while the object is held.
-``data/grasp_types.toml`` has the rule of every type."""
+The numbers are in ``data/grasp_types.toml``. A `Rule` is evaluated on a `Hold`, some looks at the
+contacts while the object is held."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import tomllib
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hpac_gym.model import DIGITS, FINGERS
+from hpac_gym.model import (
+    DIGITS,
+    FINGERS,
+    POSTURES,
+    clip_synergy,
+    clip_to_workspace,
+    synergy_from_joints,
+)
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import PARTS, Contacts, SceneSetup, SceneState, matrix_from_quaternion
 from hpac_gym.settings import setting
+from hpac_gym.tasks.grasp_data import DATA, GraspError, NamedGrasp, grasps_of, with_tuples
 from hpac_gym.tasks.grasp_holds import AXES, TOUCHES, Hold, Hole, look_at
 from hpac_gym.tasks.task import FINGER_PARTS, THUMB_PART
+from hpac_gym.tasks.terms import Term
 
+HELD_OUT_TYPES = ("large_sphere", "three_finger_pinch", "screwdriver", "tape_roll")
+"""Held-out types, never used in training. Chosen: each is similar to one of the others."""
 SPARES = 0.1
 """Largest fraction of the hold, or of the force, at which a part counts as not touching the object.
 """
-NOTHING = "nothing touches"
-"""Missed clause of a hold that has not been evaluated."""
 ASKED = (
-    "fingers",
-    "digits",
-    "tips",
-    "force",
-    "press",
-    "along_x",
-    "along_y",
-    "along_z",
-    "side",
-    "through",
-    "turn",
-    "tilt",
+    *("fingers", "digits", "tips", "force", "press", "along_x", "along_y", "along_z"),
+    *("side", "through", "turn", "tilt"),
 )
 """Entries of `Rule.asked`."""
 
@@ -92,28 +93,16 @@ class Rule:
         """The other conditions as numbers, in the order of `ASKED`: counts, forces in 10 N, angles
         in rad.
         """
-        along = [(self.along - self.across) * (axis == self.axis) for axis in AXES]
-        flags = map(float, (bool(self.side), bool(self.through)))
-        angles = np.deg2rad([self.turn_deg, self.tilt_deg]).tolist()
         return [
             self.fingers,
             self.digits,
             float(self.tips),
             self.force / 10,
             self.press / 10,
-            *along,
-            *flags,
-            *angles,
-        ]
-
-    def terms(self) -> list[tuple[str, Callable[[Hold], float]]]:
-        """The rule's clauses in words, each with its score of a hold: 1 or more satisfies it, less
-        does so in part.
-        """
-        return [
-            (words.format(asked, rule=self), partial(score, rule=self, asked=asked))
-            for name, words, score in _CLAUSES
-            for asked in self._asked_of(name)
+            *((self.along - self.across) * (axis == self.axis) for axis in AXES),
+            float(bool(self.side)),
+            float(bool(self.through)),
+            *np.deg2rad([self.turn_deg, self.tilt_deg]).tolist(),
         ]
 
     def _asked_of(self, name: str) -> Sequence[Any]:
@@ -124,9 +113,17 @@ class Rule:
         default = type(self).__dataclass_fields__[name].default
         return [given] if given != default or name == "turn_deg" else []
 
+    def terms(self) -> list[tuple[str, Callable[..., float], Any]]:
+        """The rule's clauses: words, the score of a hold for this rule, and what it asks for."""
+        return [
+            (words.format(asked, rule=self), score, asked)
+            for name, words, score in _CLAUSES
+            for asked in self._asked_of(name)
+        ]
+
     def clauses(self, hold: Hold) -> dict[str, float]:
         """Score of a hold for each clause of the rule: 1 satisfies it, less does so in part."""
-        return {name: min(value(hold), 1.0) for name, value in self.terms()}
+        return {words: min(score(hold, self, asked), 1.0) for words, score, asked in self.terms()}
 
 
 _CLAUSES: tuple[tuple[str, str, Callable[..., float]], ...] = (
@@ -183,16 +180,7 @@ class Judged:
         missed: the clauses that the last evaluation missed, in words, shape (n,).
     """
 
-    changing = (
-        "kept",
-        "missed",
-        "_asked",
-        "_counts",
-        "_rules",
-        "_seen",
-        "_start",
-        "_hand",
-    )
+    changing = ("kept", "missed", "_asked", "_counts", "_rules", "_seen", "_start", "_hand")
 
     def __init__(self, num_worlds: int) -> None:
         self.kept = np.zeros(num_worlds)
@@ -211,7 +199,7 @@ class Judged:
         self._seen[world] = ()
         self._hand[world] = setup.hand_rotation
         self._start[world] = setup.hand_rotation.T @ matrix_from_quaternion(setup.object_turn[0])
-        self.missed[world] = NOTHING
+        self.missed[world] = "nothing touches"  # until it is evaluated
         self.kept[world] = 0.0
 
     def touched_share(self, touching: NDArray[np.bool_]) -> Array:
@@ -257,3 +245,102 @@ class Judged:
     def hold(self, world: int) -> Hold:
         """The hold of a world as observed so far."""
         return Hold(self._seen[world], self._start[world].copy())
+
+
+@dataclass(frozen=True, slots=True)
+class GraspType:
+    """One of the sixteen types: the placement of its object for the posture, and the rule that
+    defines it.
+    """
+
+    start: NamedGrasp
+    """Object, wrist and support; `closed` is the synergy of the posture of the same name."""
+    rule: Rule
+
+
+def data_text() -> str:
+    """Text of ``data/grasp_types.toml``."""
+    return (DATA / "grasp_types.toml").read_text(encoding="utf-8")
+
+
+def _grasp_types() -> dict[str, GraspType]:
+    """The types of the file: each is a grasp as in ``grasps.toml`` without `closed`, and its
+    `rule`.
+    """
+    tables = tomllib.loads(data_text())
+    rules = {}
+    for name in tables.keys() - {"held_out"}:
+        rule = with_tuples(tables[name].pop("rule"))
+        holes = tuple(Hole(**with_tuples(hole)) for hole in rule.pop("holes", ()))
+        rules[name] = Rule(holes=holes, **rule)
+        # The synergy that reaches the posture's q_d by Eqs. (14) and (15).
+        reachable = clip_to_workspace(POSTURES[name].target_joint_pos)
+        tables[name]["closed"] = clip_synergy(synergy_from_joints(reachable))
+    return {name: GraspType(start, rules[name]) for name, start in grasps_of(tables).items()}
+
+
+GRASP_TYPES: Mapping[str, GraspType] = MappingProxyType(_grasp_types())
+"""All grasp types by name, in the order of the paper's panels."""
+TYPE_SPLITS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        "all": tuple(GRASP_TYPES),
+        "train": tuple(name for name in GRASP_TYPES if name not in HELD_OUT_TYPES),
+        "test": HELD_OUT_TYPES,
+    }
+)
+TYPE_TERMS = (
+    Term(
+        "type",
+        tuple(GRASP_TYPES),
+        "0/1",
+        0.0,
+        1.0,
+        "requested grasp type, one-hot",
+        lambda setup: [float(setup.grasp == name) for name in GRASP_TYPES],
+        fixed=True,
+    ),
+    Term(
+        "asked_parts",
+        PARTS,
+        "1",
+        -1.0,
+        1.0,
+        "1 for a part that must touch the object, −1 for one that must not",
+        lambda setup: GRASP_TYPES[setup.grasp].rule.asked_parts,
+        fixed=True,
+    ),
+    Term(
+        "asked",
+        ASKED,
+        "1, 10 N, rad",
+        -1.0,
+        4.0,
+        "other conditions: least numbers of fingers and digits that touch, only "
+        "last links, least force, least force on the button, shares of the force along the object's axes (negative: across), "
+        "side of the index, thumb through an opening, largest turn in the hand and of the object's axis",
+        lambda setup: GRASP_TYPES[setup.grasp].rule.asked,
+        fixed=True,
+    ),
+)
+"""Encoding of the type for a policy: its name, and the conditions of its rule, which also describe
+unseen types.
+"""
+
+
+def chosen_types(types: str | Sequence[str]) -> tuple[GraspType, ...]:
+    """The types of a split of `TYPE_SPLITS`, of one name, or of several names.
+
+    Raises:
+        GraspError: Unknown type.
+    """
+    if isinstance(types, str):
+        types = TYPE_SPLITS.get(types, (types,))
+    names = types if isinstance(types, list | tuple) else (types,)
+    if not names or (
+        unknown := [name for name in names if not isinstance(name, str) or name not in GRASP_TYPES]
+    ):
+        wrong = unknown[0] if names else types
+        raise GraspError(
+            f"no grasp type {wrong!r}; there are {', '.join((*TYPE_SPLITS, *GRASP_TYPES))}"
+        )
+    return tuple(GRASP_TYPES[name] for name in names)

@@ -3,8 +3,7 @@ its type.
 
 A grasp type has no hand shape of its own: its hand closes to the posture of the same name in
 `hpac_gym.model.POSTURES` by Eqs. (14) and (15), without retuning, and the object is placed to fit
-that posture. ``data/grasp_types.toml`` has the placement and the rule by which the grasp is judged
-(`hpac_gym.tasks.grasp_rules`)."""
+that posture. `hpac_gym.tasks.grasp_rules` has the placement and the rule by which the grasp is judged."""
 
 from __future__ import annotations
 
@@ -23,12 +22,12 @@ from hpac_gym.tasks.arrival import WRIST_ACTIONS, arrived, in_the_way, out_of_re
 from hpac_gym.tasks.cameras import CameraNoise, ObjectCamera
 from hpac_gym.tasks.grasp import CLOSE, Grasp
 from hpac_gym.tasks.grasp_data import NOMINAL, setup_of_grasp
-from hpac_gym.tasks.grasp_rules import Judged
-from hpac_gym.tasks.grasp_type_data import (
+from hpac_gym.tasks.grasp_rules import (
     GRASP_TYPES,
     TYPE_SPLITS,
     TYPE_TERMS,
     GraspType,
+    Judged,
     chosen_types,
 )
 from hpac_gym.tasks.phases import CONTROL_HZ, Timetable

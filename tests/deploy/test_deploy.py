@@ -42,7 +42,7 @@ from hpac_gym.output import OutputError
 from hpac_gym.policies.loading import load_policy
 from hpac_gym.registration import GRASP, GRASP_ANY, GRASP_TYPE
 from hpac_gym.tasks.cameras import CameraNoise
-from hpac_gym.tasks.grasp_type_data import GRASP_TYPES
+from hpac_gym.tasks.grasp_rules import GRASP_TYPES
 from hpac_gym.view.page import HandPage
 from tests.options import refused
 from tests.processes import started, wait_for

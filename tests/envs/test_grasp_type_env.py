@@ -14,7 +14,7 @@ from hpac_gym.envs import GraspTypeSetup
 from hpac_gym.errors import ParameterError
 from hpac_gym.model import HPAC
 from hpac_gym.physics.simulation import ENGINES
-from hpac_gym.tasks.grasp_type_data import GRASP_TYPES
+from hpac_gym.tasks.grasp_rules import GRASP_TYPES
 from hpac_gym.tasks.grasp_types import LOOK_EVERY
 from hpac_gym.tasks.scripted import Script
 from tests.envs.episodes import EASY, run

@@ -20,10 +20,11 @@ from hpac_gym.physics.engine import HAND_QUATERNION, matrix_from_quaternion
 from hpac_gym.tasks.arrival import START, in_the_way, wrist_choice
 from hpac_gym.tasks.grasp_data import GRASPS, GraspError, quaternion_from_rpy
 from hpac_gym.tasks.grasp_holds import Hold, Hole, Look
-from hpac_gym.tasks.grasp_rules import ASKED, Rule
-from hpac_gym.tasks.grasp_type_data import (
+from hpac_gym.tasks.grasp_rules import (
+    ASKED,
     GRASP_TYPES,
     TYPE_SPLITS,
+    Rule,
 )
 from hpac_gym.tasks.grasp_types import GraspByType, GraspTypeConfig
 

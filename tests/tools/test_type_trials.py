@@ -9,7 +9,7 @@ import pytest
 
 from hpac_gym.model import HPAC
 from hpac_gym.tasks.grasp_data import GRASPS
-from hpac_gym.tasks.grasp_type_data import GRASP_TYPES, GraspType
+from hpac_gym.tasks.grasp_rules import GRASP_TYPES, GraspType
 from tools import grasp_types as judged
 from tools.type_trials import TypeTrial, run_types
 
