@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from hpac_gym.body.object_models import FIELDS, ObjectModel, object_model, solids_from
-from hpac_gym.body.object_sets import SPAN, difference, split_models
-from hpac_gym.body.solids import bounds_of
+from hpac_gym.body.object_models import ObjectModel, bounds_of, object_model, solids_from
+from hpac_gym.body.object_sets import split_models
 from tools.families import FAMILIES, NEW_FAMILIES, PLAIN, Part
 
 SEED = 20261122
@@ -18,6 +17,14 @@ MIN_MASS = 0.008
 MAX_MASS = 0.5
 MAX_PLAIN_MASS = 0.65
 """Mass bounds of a generated object, and of a plain solid [kg]."""
+SPAN = 0.082
+"""Largest object width that the hand is asked to span [m]: that of the puck's large variant in the
+named grasps.
+"""
+FIELDS = {"about", "size", "mass", "shape", "color", "solids"}
+"""Fields of an object in a file; a real one has `source`, `published` and `chosen` too, which tell
+where its numbers are from.
+"""
 MIN_DIFFERENCE = 0.10
 """A held-out object differs from each training object, and a plain solid from each held-out and each
 real one, by more than this share in at least one measure.
@@ -63,6 +70,14 @@ def entry(name: str, family: str, rng: np.random.Generator) -> tuple[dict[str, A
         "solids": parts,
     }
     return fields | {"friction": round(rng.uniform(*friction), 2)}, object_model(name, fields)
+
+
+def difference(one: ObjectModel, other: ObjectModel) -> float:
+    """Largest relative difference between two objects in their sorted side lengths and their mass;
+    0.1 is 10 %.
+    """
+    measures = np.array([[*sorted(model.size), model.mass] for model in (one, other)])
+    return float((measures.max(axis=0) / measures.min(axis=0)).max() - 1)
 
 
 def _metres(part: Part) -> Part:

@@ -19,10 +19,6 @@ SPLITS = ("train", "wide", "test", "real")
 """Procedural training objects, the same and plain solids, held-out procedural objects, and real
 objects; the last two are never used in training.
 """
-SPAN = 0.082
-"""Largest object width that the hand is asked to span [m]: that of the puck's large variant in the
-named grasps.
-"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,14 +71,6 @@ def object_set(split: str) -> tuple[RestingObject, ...]:
     if split not in SPLITS:
         raise ParameterError(f"split {split!r} of objects is not one of {', '.join(SPLITS)}")
     return _object_sets()[split]
-
-
-def difference(one: ObjectModel, other: ObjectModel) -> float:
-    """Largest relative difference between two objects in their sorted side lengths and their mass;
-    0.1 is 10 %.
-    """
-    measures = np.array([[*sorted(model.size), model.mass] for model in (one, other)])
-    return float((measures.max(axis=0) / measures.min(axis=0)).max() - 1)
 
 
 def split_models() -> dict[str, dict[str, tuple[ObjectModel, float]]]:

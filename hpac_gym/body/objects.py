@@ -8,8 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from hpac_gym.body.object_models import ObjectModel, load_object_models
-from hpac_gym.body.solids import Solid
+from hpac_gym.body.object_models import ObjectModel, Solid, load_object_models
 from hpac_gym.errors import ParameterError
 from hpac_gym.settings import check_bounds, check_choice, setting
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from hpac_gym.body.solids import Hull, Solid
+from hpac_gym.body.object_models import Hull, Solid
 from hpac_gym.command import stopped_later
 from hpac_gym.errors import ParameterError, install
 from hpac_gym.model.checks import Array

@@ -13,10 +13,9 @@ from xml.etree import ElementTree as Xml
 import numpy as np
 
 from hpac_gym.body.geometry import rotation_about, rotation_from_rpy
-from hpac_gym.body.object_models import ObjectModel
+from hpac_gym.body.object_models import ObjectModel, Solid, bounds_of
 from hpac_gym.body.objects import GREY, ObjectSpec
 from hpac_gym.body.own_meshes import DETAILS, of_mesh
-from hpac_gym.body.solids import Solid, bounds_of
 from hpac_gym.errors import HpacError, ParameterError
 from hpac_gym.model.checks import Array
 from hpac_gym.settings import check_choice

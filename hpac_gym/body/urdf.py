@@ -15,8 +15,7 @@ from xml.etree import ElementTree as Xml
 import numpy as np
 
 from hpac_gym.body.geometry import Array, Box, Capsule, Geometry, Phalanx, Vector
-from hpac_gym.body.object_models import ObjectModel
-from hpac_gym.body.solids import Solid, inertia_of_point, principal_inertia
+from hpac_gym.body.object_models import ObjectModel, Solid, inertia_of_point, principal_inertia
 from hpac_gym.model import HPAC, JOINTS
 
 HAND_URDF = "hpac_hand.urdf"

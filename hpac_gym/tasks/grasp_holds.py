@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hpac_gym.body.geometry import link_poses, load_geometry
+from hpac_gym.body.geometry import HPAC_GEOMETRY, link_poses
 from hpac_gym.model import JOINT_INDEX
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import PARTS, Contacts, SceneState
@@ -16,13 +16,14 @@ from hpac_gym.physics.engine import PARTS, Contacts, SceneState
 TOUCHES = 0.5
 """A part counts as touching the object if it does so in at least this fraction of the hold."""
 AXES = "xyz"
-_GEOMETRY = load_geometry()
-_TIPS = tuple(digit.phalanges[-1].link for digit in _GEOMETRY.digits)
-_BALL = _GEOMETRY.digit("thumb").phalanges[0].link
+_TIPS = tuple(digit.phalanges[-1].link for digit in HPAC_GEOMETRY.digits)
+_BALL = HPAC_GEOMETRY.digit("thumb").phalanges[0].link
 """The metacarpal, the ball of the thumb, which counts as palm: the thumb touches by its last two
 links.
 """
-_BEYOND_ROOT = tuple(phalanx.link for digit in _GEOMETRY.digits for phalanx in digit.phalanges[1:])
+_BEYOND_ROOT = tuple(
+    phalanx.link for digit in HPAC_GEOMETRY.digits for phalanx in digit.phalanges[1:]
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +84,7 @@ class Look:
 
     def poses(self, digit: str) -> dict[str, tuple[Array, Array]]:
         """Position and rotation of a digit's links in the hand frame, by name."""
-        body = _GEOMETRY.digit(digit)
+        body = HPAC_GEOMETRY.digit(digit)
         joints = self.joint_pos[[JOINT_INDEX[phalanx.joint] for phalanx in body.phalanges]]
         links = [phalanx.link for phalanx in body.phalanges]
         return dict(zip(links, link_poses(body, joints), strict=True))
@@ -93,7 +94,11 @@ class Look:
         touch, up to 0.3 for a miss.
         """
         poses = list(self.poses(digit).values())
-        tip = poses[-1][0] + poses[-1][1] @ (0.0, 0.0, _GEOMETRY.digit(digit).phalanges[-1].length)
+        tip = poses[-1][0] + poses[-1][1] @ (
+            0.0,
+            0.0,
+            HPAC_GEOMETRY.digit(digit).phalanges[-1].length,
+        )
         places = (np.array([place for place, _ in poses] + [tip]) - self.centre) @ self.rotation
         if any(hole.hit(start, end) for start, end in itertools.pairwise(places[1:])):
             return 1.0 if digit in map(part_of, self.links) else 0.4

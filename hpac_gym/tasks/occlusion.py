@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpac_gym.body.geometry import HPAC_GEOMETRY, Box, Capsule, Geometry, rotation_from_rpy
-from hpac_gym.body.solids import Solid
+from hpac_gym.body.object_models import Solid
 from hpac_gym.model import JOINTS
 from hpac_gym.model.checks import Array
 

@@ -9,20 +9,21 @@ import numpy as np
 import pytest
 
 from hpac_gym.body.geometry import table_of
-from hpac_gym.body.object_models import FIELDS, load_object_models
-from hpac_gym.body.object_sets import (
-    SPAN,
-    SPLITS,
-    RestingObject,
-    difference,
-    object_set,
-    resting_pose,
-)
+from hpac_gym.body.object_models import load_object_models
+from hpac_gym.body.object_sets import SPLITS, RestingObject, object_set, resting_pose
 from hpac_gym.errors import ParameterError
 from hpac_gym.physics.engine import matrix_from_quaternion
 from hpac_gym.tasks.grasp_data import GRASPS
 from tools.families import FAMILIES, NEW_FAMILIES
-from tools.object_families import MAX_MASS, MAX_PLAIN_MASS, MIN_DIFFERENCE, MIN_MASS
+from tools.object_families import (
+    FIELDS,
+    MAX_MASS,
+    MAX_PLAIN_MASS,
+    MIN_DIFFERENCE,
+    MIN_MASS,
+    SPAN,
+    difference,
+)
 
 SETS = {split: object_set(split) for split in SPLITS}
 EVERY = list({thing.name: thing for things in SETS.values() for thing in things}.values())

@@ -5,10 +5,9 @@ import pytest
 
 from hpac_gym.body.geometry import HPAC_GEOMETRY as GEOMETRY, link_poses
 from hpac_gym.body.hands import hand_set
-from hpac_gym.body.object_models import load_object_models
+from hpac_gym.body.object_models import Solid, load_object_models
 from hpac_gym.body.object_sets import object_set
 from hpac_gym.body.objects import ObjectSpec
-from hpac_gym.body.solids import Solid
 from hpac_gym.model import HPAC, JOINTS
 from hpac_gym.physics.engine import SceneSetup, SceneState, Viewpoint
 from hpac_gym.tasks.cameras import CameraNoise

@@ -16,8 +16,7 @@ import mujoco
 import numpy as np
 
 from hpac_gym.body.geometry import HPAC_GEOMETRY, Geometry
-from hpac_gym.body.object_models import ObjectModel
-from hpac_gym.body.solids import Solid
+from hpac_gym.body.object_models import ObjectModel, Solid
 from hpac_gym.model import DIGITS, JOINTS
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import HAND_POSITION, PARTS, SceneSetup

@@ -12,9 +12,8 @@ from mujoco.batch import Batch
 from numpy.typing import NDArray
 
 from hpac_gym.body.geometry import Geometry
-from hpac_gym.body.object_models import ObjectModel
+from hpac_gym.body.object_models import ObjectModel, principal_inertia
 from hpac_gym.body.objects import ObjectSpec
-from hpac_gym.body.solids import principal_inertia
 from hpac_gym.model import DIGITS, HPAC, SERVOS, Hand
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import HAND_POSITION, OBJECT_COLORS, PhysicsError, SceneSetup
