@@ -18,7 +18,7 @@ from hpac_gym.tasks.grasp import OBJECT_OPTION, Grasp, GraspConfig, GraspWeights
 from hpac_gym.tasks.occlusion import Rows
 from hpac_gym.tasks.phases import Timetable
 from hpac_gym.tasks.privileged import PRIVILEGED_TERMS
-from hpac_gym.tasks.senses import LOAD_TERMS, VIEW_TARGET, Senses, ServoSenses
+from hpac_gym.tasks.senses import LOAD_TERMS, Senses, ServoSenses
 from hpac_gym.tasks.task import (
     FAILURE,
     Option,
@@ -187,7 +187,7 @@ class Gentle(Grasp):
         self.peak = np.zeros(num_worlds)
         self.crush_limit = np.zeros(num_worlds)
         servos = ServoSenses() if self.obs == "load" else None
-        return _Camera(num_worlds, noise, self.viewpoint, VIEW_TARGET, servos)
+        return _Camera(num_worlds, noise, self.viewpoint, servos)
 
     def setup(self, rng: np.random.Generator, hand: Hand = HPAC) -> GentleSetup:
         """Draw one episode: as for `Grasp`, and the crush limit."""

@@ -287,7 +287,7 @@ class Grasp(Task):
         self.grip.follow(state.object_pos, state.touching.any(axis=1), state.supported, dt)
         ran = self.phase(state.time - dt / 2)
         lifted = self.phase(state.time + dt / 2) >= SHAKE  # of the next step
-        self.grip.settle(lifted & (ran < SHAKE))
+        self.grip.settle(lifted & (ran < SHAKE), state.object_pos)
         failed = (self.grip.moved > self.config.drop_distance) | (lifted & ~self.grip.holds)
         over = np.where(state.time >= self.duration - dt / 2, SUCCESS, RUNNING)
         return np.where(failed, FAILURE, over)

@@ -35,7 +35,7 @@ from hpac_gym.tasks.grip import Grip
 from hpac_gym.tasks.phases import wrist_table
 from hpac_gym.tasks.privileged import PRIVILEGED_TERMS
 from hpac_gym.tasks.scripted import ScriptedGraspAny
-from hpac_gym.tasks.senses import LOAD_TERMS, VIEW_TARGET, Senses, ServoSenses
+from hpac_gym.tasks.senses import LOAD_TERMS, Senses, ServoSenses
 from hpac_gym.tasks.task import (
     FAILURE,
     RUNNING,
@@ -186,7 +186,7 @@ class GraspAny(Task):
         self.turn = np.zeros(num_worlds)
         self.sides = np.zeros(num_worlds, dtype=int)
         servos = ServoSenses() if self.obs == "load" else None
-        return Senses(num_worlds, noise, self.viewpoint, VIEW_TARGET, servos, self.obs == "points")
+        return Senses(num_worlds, noise, self.viewpoint, servos, self.obs == "points")
 
     def setup(self, rng: np.random.Generator, hand: Hand = HPAC) -> SceneSetup:
         return self.setups.draw(rng, hand)
@@ -252,9 +252,9 @@ class GraspAny(Task):
         grip.follow(state.object_pos, state.touching.any(axis=1), state.supported, dt)
         phase = self.phase(state.time + dt / 2)  # of the next step
         begins = phase != ran
-        grip.settle(begins & (phase == SHAKE))
+        grip.settle(begins & (phase == SHAKE), state.object_pos)
         held = grip.holds
-        grip.settle(begins & (phase > SHAKE))
+        grip.settle(begins & (phase > SHAKE), state.object_pos)
         closing = phase == CLOSE
         self._grasped[closing] = state.object_rotation[closing]
         pushed = np.minimum(grip.moved / self.config.reach, 1.0)

@@ -335,12 +335,10 @@ def chosen_types(types: str | Sequence[str]) -> tuple[GraspType, ...]:
     """
     if isinstance(types, str):
         types = TYPE_SPLITS.get(types, (types,))
-    names = types if isinstance(types, list | tuple) else (types,)
-    if not names or (
-        unknown := [name for name in names if not isinstance(name, str) or name not in GRASP_TYPES]
-    ):
-        wrong = unknown[0] if names else types
-        raise GraspError(
-            f"no grasp type {wrong!r}; there are {', '.join((*TYPE_SPLITS, *GRASP_TYPES))}"
-        )
+    names = types if types and isinstance(types, list | tuple) else (types,)
+    for name in names:
+        if not isinstance(name, str) or name not in GRASP_TYPES:
+            raise GraspError(
+                f"no grasp type {name!r}; there are {', '.join((*TYPE_SPLITS, *GRASP_TYPES))}"
+            )
     return tuple(GRASP_TYPES[name] for name in names)

@@ -39,7 +39,7 @@ class Grip:
         moved: displacement since the episode began, shape (n,) [m].
     """
 
-    changing = ("carrying", "time", "slip", "moved", "_touched", "_origins", "_now")
+    changing = ("carrying", "time", "slip", "moved", "_touched", "_origins")
 
     def __init__(self, num_worlds: int) -> None:
         self.carrying = np.zeros(num_worlds, dtype=bool)
@@ -49,7 +49,6 @@ class Grip:
         self._touched = np.zeros(num_worlds, dtype=bool)
         # Where the carrying began, and where the episode began.
         self._origins = np.zeros((2, num_worlds, 3))
-        self._now = np.zeros((num_worlds, 3))
 
     def start(self, worlds: Sequence[int], places: Sequence[Array]) -> None:
         """Begin episodes with the objects at their places in the hand frame [m]; nothing is
@@ -73,21 +72,20 @@ class Grip:
         """
         carries = (touched | (self.carrying & self._touched)) & ~supported
         begins = carries & ~self.carrying
-        if True in begins.tolist():  # in a third of the time of `any`
-            self._origins[0, begins] = object_pos[begins]
-        self._now = object_pos
+        self._origins[0, begins] = object_pos[begins]
         self._touched = touched
         self.carrying = carries
         self.time = (self.time + dt) * carries
         slip, self.moved = np.linalg.norm(object_pos - self._origins, axis=-1)
         self.slip = np.where(carries, slip, 0.0)
 
-    def settle(self, where: NDArray[np.bool_]) -> None:
-        """Set the slip of carried objects to zero: motion while the grasp forms is not slip."""
+    def settle(self, where: NDArray[np.bool_], object_pos: Array) -> None:
+        """Set the slip of carried objects, at these places in the hand frame, shape (n, 3) [m], to
+        zero: motion while the grasp forms is not slip.
+        """
         where = where & self.carrying
-        if True in where.tolist():
-            self._origins[0, where] = self._now[where]
-            self.slip[where] = 0.0
+        self._origins[0, where] = object_pos[where]
+        self.slip[where] = 0.0
 
     @property
     def firmness(self) -> Array:

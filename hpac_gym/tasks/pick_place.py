@@ -239,9 +239,6 @@ class PickPlace(Task):
         self._place[index] = [s.position for s in setups]
         self._target[index] = [s.target for s in setups]
         self._rotation[index] = [setup.hand_rotation for setup in setups]
-        self._astray[index] = 0.0
-        self._lowered[index] = False
-        self._standing[index] = False
 
     def wrist_path(self, setup: SceneSetup, times: tuple[float, ...]) -> Array:
         """Offset of the wrist at times [s], along the world's axes, shape (len(times), 3) [m], via

@@ -99,8 +99,7 @@ class Senses:
     Args:
         num_worlds: n.
         noise: noise of the camera.
-        view: viewpoint of the camera; it follows the wrist.
-        centre: point at which it looks, in the hand frame, shape (3,) [m].
+        view: viewpoint of the camera, from `VIEW_TARGET`; it follows the wrist.
         servos: feedback of the servos; None reads none.
         points: whether `points` is asked for, which takes more points of an object's surface.
     """
@@ -112,13 +111,11 @@ class Senses:
         num_worlds: int,
         noise: CameraNoise,
         view: Viewpoint,
-        centre: Array,
-        servos: ServoSenses | None = ServoSenses(),
+        servos: ServoSenses | None = None,
         points: bool = False,
     ) -> None:
         self._camera = ObjectCamera(num_worlds, noise)
         self._view = view
-        self._centre = centre
         self._servos = servos
         self._skeleton = Skeleton(num_worlds)
         self._eye = np.zeros((num_worlds, 3))
@@ -144,7 +141,7 @@ class Senses:
         self._camera.start(world, setup, factor, camera_rng)
         self._skeleton.fit(world, setup.geometry)
         self._points[world], self._normals[world] = self._surface(setup.object)
-        self._eye[world] = self._centre + setup.hand_rotation.T @ eye_offset(self._view)
+        self._eye[world] = VIEW_TARGET + setup.hand_rotation.T @ eye_offset(self._view)
         if self._servos is not None:
             settings = setup.hand_settings
             self._zero[world] = settings.servo_zero

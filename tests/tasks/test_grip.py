@@ -55,7 +55,7 @@ def test_what_moved_before_the_grasp_settled_is_no_slip():
     grip = grip_after(
         [TOUCHED, TOUCHED], [TOUCHED, TOUCHED], [STANDS, STANDS], moved=1.1 * MAX_SLIP
     )
-    grip.settle(np.array([True, False, True]))
+    grip.settle(np.array([True, False, True]), np.tile(PLACE + 1.1 * MAX_SLIP * ASIDE, (3, 1)))
     np.testing.assert_array_equal(grip.holds, [True, False, False])
     np.testing.assert_allclose(grip.time, [2 * DT, 2 * DT, 0.0])
     grip.follow(

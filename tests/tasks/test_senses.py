@@ -12,9 +12,8 @@ from hpac_gym.model import HPAC, JOINTS
 from hpac_gym.physics.engine import SceneSetup, SceneState, Viewpoint
 from hpac_gym.tasks.cameras import CameraNoise
 from hpac_gym.tasks.occlusion import SKIN, Skeleton, covered, surface
-from hpac_gym.tasks.senses import POINTS, Senses, ServoSenses, eye_offset
+from hpac_gym.tasks.senses import POINTS, VIEW_TARGET, Senses, ServoSenses, eye_offset
 
-CENTRE = np.array([0.03, 0.0, 0.10])
 FRONT = Viewpoint(distance=0.4, yaw_deg=180.0, pitch_deg=0.0)
 """In front of the palm of a hand in its usual orientation."""
 
@@ -141,7 +140,7 @@ def state_of(setup: SceneSetup, *joint_pos: np.ndarray) -> SceneState:
 
 
 def senses(setup: SceneSetup, **options) -> Senses:
-    made = Senses(1, CameraNoise(0, 0, 0), FRONT, CENTRE, points=True, **options)
+    made = Senses(1, CameraNoise(0, 0, 0), FRONT, points=True, **options)
     made.start(0, setup, 1.0, np.random.default_rng(0))
     return made
 
@@ -176,7 +175,7 @@ def test_the_first_look_is_taken_before_the_hand_comes():
 def test_the_order_in_which_worlds_are_named_is_none_of_their_looks():
     behind = ball(0.03, 0.085)
     for order in ([0, 1], [1, 0]):
-        eyes = Senses(2, CameraNoise(0, 0, 0), FRONT, CENTRE)
+        eyes = Senses(2, CameraNoise(0, 0, 0), FRONT)
         for world in order:
             eyes.start(world, behind, 1.0, np.random.default_rng(0))
         seen = eyes.look(state_of(behind, OPEN, FIST), order)
@@ -192,7 +191,7 @@ def test_points_are_of_the_camera_s_side():
     assert (points[:, 3] == 1).sum() > 50
     places = points[points[:, 3] == 1, :3] * 0.05 + [0.045, 0.005, 0.1125]
     np.testing.assert_allclose(np.linalg.norm(places - setup.position, axis=1), 0.02, atol=1e-6)
-    towards = CENTRE + setup.hand_rotation.T @ eye_offset(FRONT) - setup.position
+    towards = VIEW_TARGET + setup.hand_rotation.T @ eye_offset(FRONT) - setup.position
     assert ((places - setup.position) @ towards > 0).all()
     assert (points[points[:, 3] == 0] == 0).all()
 
