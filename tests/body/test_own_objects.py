@@ -25,6 +25,7 @@ from hpac_gym.output import OutputError
 from hpac_gym.physics.engine import SceneSetup, matrix_from_quaternion
 from hpac_gym.physics.mujoco.engine import MuJoCoEngine
 from hpac_gym.physics.simulation import ENGINES, make_engine
+from hpac_gym.tasks.occlusion import inside
 from tests.envs.episodes import run
 
 L_SHAPE = [(0, 0), (60, 0), (60, 20), (20, 20), (20, 80), (0, 80)]
@@ -71,8 +72,9 @@ def decomposed(tmp_path_factory):
 
 
 def test_a_mesh_becomes_convex_parts_with_its_volume_mass_and_inertia(ell, decomposed):
-    model = own_object(ell, mass=0.12, scale=0.001, folder=decomposed).model
-    assert len(model.solids) > 1
+    spec = own_object(ell, mass=0.12, scale=0.001, folder=decomposed)
+    assert "model=ObjectModel('ell', 0.06 × 0.04 × 0.08 m, 0.12 kg, 2 solids)" in repr(spec)
+    model = spec.model
     assert sum(solid.hull.moments()[0] for solid in model.solids) == pytest.approx(
         0.04 * (0.06 * 0.02 + 0.02 * 0.06), rel=0.02
     )
@@ -92,9 +94,9 @@ def test_a_mesh_becomes_convex_parts_with_its_volume_mass_and_inertia(ell, decom
 def test_a_coarse_decomposition_is_the_default_and_a_fine_one_follows_the_mesh(
     tmp_path, monkeypatch
 ):
-    """A torus of 9,216 faces: coarse in seconds, with its hole; the setting is kept with its parts."""
+    """A torus of 2,304 faces: coarse in seconds, with its hole; the setting is kept with its parts."""
     path = tmp_path / "ring.stl"
-    trimesh.creation.torus(25.0, 8.0, major_sections=96, minor_sections=48).export(path)
+    trimesh.creation.torus(25.0, 8.0, major_sections=48, minor_sections=24).export(path)
     asked = []
     run_coacd = coacd.run_coacd
     monkeypatch.setattr(
@@ -104,7 +106,7 @@ def test_a_coarse_decomposition_is_the_default_and_a_fine_one_follows_the_mesh(
     model = own_object(path, mass=0.1, scale=0.001).model
     assert time.process_time() - begun < 20.0
     np.testing.assert_allclose(model.size, (0.066, 0.066, 0.016), atol=1e-4)
-    assert not any(contains(solid, np.zeros(3)) for solid in model.solids)
+    assert not any(inside(solid, np.zeros((1, 3))) for solid in model.solids)
     assert asked[0]["preprocess_mode"] == "on"
     own_object(path, mass=0.1, scale=0.001)
     assert len(asked) == 1
@@ -137,29 +139,7 @@ def test_a_round_mesh_keeps_few_of_its_corners_and_its_size(tmp_path):
     assert solid.hull.moments()[0] == pytest.approx(1e-9 * mesh.volume, rel=0.03)
 
 
-def contains(solid, place: np.ndarray) -> bool:
-    """Whether a hull has a point, shape (3,) [m], inside."""
-    corners = solid.hull.vertices[solid.hull.faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return bool((np.einsum("fi,fi->f", normals, place - solid.center - corners[:, 0]) < 0).all())
-
-
-def test_an_own_object_prints_in_one_line(ell, decomposed):
-    told = repr(own_object(ell, mass=0.12, scale=0.001, folder=decomposed))
-    assert "model=ObjectModel('ell', 0.06 × 0.04 × 0.08 m, 0.12 kg, 2 solids)" in told
-    assert "\n" not in told
-    assert len(told) < 250
-
-
-@pytest.mark.parametrize(
-    "given",
-    [
-        CAN,
-        ObjectSpec("box", (0.03, 0.025, 0.06), 0.3, 0.7),
-        None,
-    ],
-    ids=str,
-)
+@pytest.mark.parametrize("given", [CAN, None], ids=str)
 def test_grasp_any_takes_it_in_the_poses_in_which_it_comes_to_rest(given, ell, decomposed):
     if given is None:
         given = own_object(ell, mass=0.08, friction=0.9, scale=0.001, folder=decomposed)
@@ -178,8 +158,8 @@ def test_grasp_any_takes_it_in_the_poses_in_which_it_comes_to_rest(given, ell, d
 
 def test_grasp_any_holds_a_can_of_ones_own():
     with gymnasium.make("HPAC-GraspAny-v1", object=CAN, engine="mujoco") as env:
-        held = [run(env, env.unwrapped.task.script(), seed=seed)[0][-1] for seed in range(8)]
-    assert sum(info["is_success"] for info in held) >= 5
+        held = [run(env, env.unwrapped.task.script(), seed=seed)[0][-1] for seed in range(3)]
+    assert all(info["is_success"] for info in held)
     assert {info["object"] for info in held} == {"own cylinder"}
 
 
@@ -210,26 +190,19 @@ def test_a_folder_that_cannot_be_written_is_told_with_the_way_out_before_the_wor
         own_object(wedge, mass=0.1, scale=0.001, folder="/proc/none")
 
 
-@pytest.mark.parametrize("parts", [[], 3, [[[[0, 0]], [[0, 0, 0]]]], [[[[0, 0, 0]], [[9]]]]])
-def test_parts_that_are_none_are_made_anew(parts, wedge):
+DAMAGED = ([], 3, [[[[0, 0]], [[0, 0, 0]]]], [[[[0, 0, 0]], [[9]]]])
+
+
+@pytest.mark.parametrize(
+    "kept", ["{ half a fi", {"sha256": "of another mesh"}, *({"parts": parts} for parts in DAMAGED)]
+)
+def test_parts_that_are_damaged_or_of_another_mesh_of_the_name_are_made_anew(kept, wedge):
     own_object(wedge, mass=0.1, scale=0.001)
     file = wedge.with_name("ell.hulls.json")
     made = file.read_text()
-    file.write_text(json.dumps(json.loads(made) | {"parts": parts}))
+    file.write_text(kept if isinstance(kept, str) else json.dumps(json.loads(made) | kept))
     own_object(wedge, mass=0.1, scale=0.001)
     assert file.read_text() == made
-
-
-@pytest.mark.parametrize("kept", ["of another mesh", "{ half a fi"])
-def test_parts_of_another_mesh_of_the_same_name_or_a_damaged_file_are_made_anew(
-    kept, wedge, decomposed
-):
-    file = wedge.with_name("ell.hulls.json")
-    file.write_text(
-        (decomposed / "ell.hulls.json").read_text() if kept == "of another mesh" else kept
-    )
-    assert own_object(wedge, mass=0.1, scale=0.001).model.size[2] == pytest.approx(0.12, abs=1e-5)
-    assert len(json.loads(file.read_text())["parts"]) == 1
 
 
 def urdf(geometry: str, mass: str = "0.1") -> str:
@@ -429,9 +402,12 @@ def test_a_mirrored_mesh_is_as_heavy_as_the_mesh(ell, decomposed):
 
 
 @pytest.mark.pybullet
-def test_both_engines_load_its_mass_inertia_and_extents(ell, decomposed):
+def test_both_engines_load_its_mass_inertia_and_extents(ell, decomposed, tmp_path, monkeypatch):
+    """Whatever file of its hulls' name is in the working directory."""
     import pybullet
 
+    monkeypatch.chdir(tmp_path)
+    trimesh.creation.box((0.3, 0.3, 0.3)).export("hull_0.obj")
     spec = own_object(ell, mass=0.12, scale=0.001, folder=decomposed)
     wanted = np.linalg.eigvalsh(spec.model.inertia)
     engine = MuJoCoEngine(1)
@@ -457,57 +433,32 @@ def test_both_engines_load_its_mass_inertia_and_extents(ell, decomposed):
     loaded = pybullet.getDynamicsInfo(scene.object.body, -1, scene.world.client)
     assert loaded[0] == pytest.approx(0.12)
     np.testing.assert_allclose(sorted(loaded[2]), wanted, rtol=1e-4)
-    other.close()
-
-
-@pytest.mark.pybullet
-def test_pybullet_loads_its_hulls_and_no_file_of_that_name_in_the_working_directory(
-    wedge, tmp_path, monkeypatch
-):
-    import pybullet
-
-    monkeypatch.chdir(tmp_path)
-    trimesh.creation.box((0.3, 0.3, 0.3)).export("hull_0.obj")
-    engine = make_engine("pybullet")
-    spec = own_object(wedge, mass=0.1, scale=0.001)
-    engine.reset([0], [SceneSetup(spec, np.zeros(3))])
-    scene = engine.scenes[0]
     low, high = pybullet.getAABB(scene.object.body, -1, scene.world.client)
-    assert high[2] - low[2] < 0.2  # 0.12 m and Bullet's margin
-    engine.close()
+    assert max(np.subtract(high, low)) < 0.2  # 0.08 m and Bullet's margin
+    other.close()
 
 
 @pytest.mark.parametrize("engine", ENGINES)
 def test_the_hand_grasps_it_with_the_scripted_closure(engine, ell, decomposed):
     """Upright, its shaft between thumb and fingers."""
     spec = own_object(ell, mass=0.08, friction=0.9, scale=0.001, folder=decomposed)
-    assert isinstance(spec, ObjectSpec)
     with gymnasium.make("HPAC-Grasp-v0", object=spec, engine=engine) as env:
         assert any(run(env, ScriptedClosure(), seed=seed)[0][-1]["is_success"] for seed in range(6))
 
 
-def test_a_dictionary_makes_the_same_environment_and_survives_json_and_a_spec_survives_pickle(
-    ell, decomposed
-):
+def test_an_environment_and_its_object_survive_json_and_pickle(ell, decomposed):
     given = {"path": str(ell), "mass": 0.08, "scale": 0.001, "folder": str(decomposed)}
-    with gymnasium.make("HPAC-Grasp-v0", object=given, engine="mujoco") as env:
-        again = gymnasium.envs.registration.EnvSpec.from_json(env.spec.to_json())
-        wanted = env.reset(seed=3)[0]
-    with gymnasium.make(again) as env:
-        np.testing.assert_array_equal(env.reset(seed=3)[0], wanted)
+    for thing in (CAN, given):
+        with gymnasium.make("HPAC-Grasp-v0", object=thing, engine="mujoco") as env:
+            again = gymnasium.envs.registration.EnvSpec.from_json(env.spec.to_json())
+            wanted = env.reset(seed=3)[0]
+        with gymnasium.make(again) as env:
+            np.testing.assert_array_equal(env.reset(seed=3)[0], wanted)
     # On PyBullet a vector environment sends it to its processes.
     spec = pickle.loads(pickle.dumps(own_object(**given)))
     vector = gymnasium.make_vec("HPAC-Grasp-v0", num_envs=2, object=spec, engine="mujoco")
     np.testing.assert_array_equal(vector.reset(seed=[3, 4])[0][0], wanted)
     vector.close()
-
-
-def test_a_spec_comes_back_from_json():
-    can = ObjectSpec("cylinder", (0.025, 0.025, 0.06), 0.1, 0.8)
-    with gymnasium.make("HPAC-Grasp-v0", object=can, engine="mujoco") as env:
-        again = gymnasium.envs.registration.EnvSpec.from_json(env.spec.to_json())
-    with gymnasium.make(again) as env:
-        assert env.unwrapped.task.object == can
 
 
 def test_a_mesh_is_closed_though_its_texture_has_seams(tmp_path):
@@ -627,7 +578,7 @@ def test_an_unknown_name_and_a_scale_of_an_own_object_are_refused(ell, decompose
         ParameterError, match=r"model 'mug' is not one of beverage_can, tennis_ball"
     ):
         ObjectSpec("box", (0.02, 0.02, 0.05), 0.1, 0.8, "mug")
-    spec = own_object(ell, mass=0.08, scale=0.001, folder=decomposed)
+    spec = own_object(ell, mass=0.08, friction=0.9, scale=0.001, folder=decomposed)
     with pytest.raises(
         ParameterError, match=r"scale 1.1 of ell: an object of one's own has the scale 1 here"
     ):
