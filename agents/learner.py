@@ -27,9 +27,9 @@ from agents.trials import Trials
 from hpac_gym.model import action_from_synergy
 from hpac_gym.policies import Closures
 from hpac_gym.registration import GRASP_TYPE
-from hpac_gym.tasks.arrival import wrist_choice
 from hpac_gym.tasks.grasp_rules import GRASP_TYPES
 from hpac_gym.tasks.grasp_types import GraspByType
+from hpac_gym.tasks.placing import wrist_choice
 from hpac_gym.tasks.scripted import CLOSE_TIME
 from hpac_gym.tasks.task import CONTROL_HZ
 from hpac_gym.tasks.terms import Layout

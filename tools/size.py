@@ -26,7 +26,7 @@ PRICES = {
     "camera and printed tags": ("camera",),
     "a second engine": ("physics/pybullet",),
     "grasp types": tuple(
-        f"tasks/{name}.py" for name in ("grasp_types", "grasp_rules", "grasp_holds", "arrival")
+        f"tasks/{name}.py" for name in ("grasp_types", "grasp_rules", "grasp_holds")
     ),
     "objects of one's own": (
         "body/own_objects.py",

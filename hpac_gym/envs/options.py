@@ -19,8 +19,8 @@ from hpac_gym.physics.settings import BODIES, HandSettings, WorldSettings
 from hpac_gym.physics.simulation import ENGINES
 from hpac_gym.physics.supports import support_boxes
 from hpac_gym.settings import check_bounds, check_choice, settings_from
-from hpac_gym.tasks.arrival import points_in_object
 from hpac_gym.tasks.cameras import CameraNoise
+from hpac_gym.tasks.occlusion import points_in_object
 from hpac_gym.tasks.task import GoalSetup, Option, Task, options_of
 
 MODELS = EXACT, CALIBRATED = "hand", "calibrated"

@@ -14,7 +14,6 @@ from hpac_gym.model import HPAC, Hand
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import SceneSetup, SceneState
 from hpac_gym.settings import check_bounds, setting, settings_from
-from hpac_gym.tasks.arrival import points_in_object
 from hpac_gym.tasks.grasp_data import (
     GRASPS,
     NOMINAL,
@@ -22,7 +21,7 @@ from hpac_gym.tasks.grasp_data import (
     named_grasp,
     setup_of_grasp,
 )
-from hpac_gym.tasks.occlusion import SKIN
+from hpac_gym.tasks.occlusion import SKIN, points_in_object
 from hpac_gym.tasks.phases import PHASES, Timetable, wrist_table
 from hpac_gym.tasks.privileged import PRIVILEGED_TERMS
 from hpac_gym.tasks.scripted import Script, ScriptedClosure

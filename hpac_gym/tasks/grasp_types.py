@@ -18,7 +18,6 @@ from hpac_gym.model import HPAC, Hand, action_from_synergy
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import Contacts, SceneSetup, SceneState
 from hpac_gym.settings import check_bounds, check_choice, setting
-from hpac_gym.tasks.arrival import WRIST_ACTIONS, arrived, in_the_way, out_of_reach, wrist_choice
 from hpac_gym.tasks.cameras import CameraNoise, ObjectCamera
 from hpac_gym.tasks.grasp import CLOSE, Grasp
 from hpac_gym.tasks.grasp_data import NOMINAL, setup_of_grasp
@@ -30,7 +29,9 @@ from hpac_gym.tasks.grasp_rules import (
     Judged,
     chosen_types,
 )
+from hpac_gym.tasks.occlusion import in_the_way
 from hpac_gym.tasks.phases import CONTROL_HZ, Timetable
+from hpac_gym.tasks.placing import WRIST_ACTIONS, arrived, out_of_reach, wrist_choice
 from hpac_gym.tasks.scripted import CLOSE_TIME, Script
 from hpac_gym.tasks.task import (
     FAILURE,

@@ -1,6 +1,6 @@
-"""Visibility of an object's surface points to a camera: points that face it and are not occluded by
-the hand.
-"""
+"""The hand as capsules: what it hides of an object from a camera, and what is in its way.
+
+A surface point of an object is visible if it faces the camera and no capsule occludes it."""
 
 from functools import lru_cache
 from zlib import crc32
@@ -10,14 +10,18 @@ from numpy.typing import NDArray
 
 from hpac_gym.body.geometry import HPAC_GEOMETRY, Box, Capsule, Geometry, rotation_from_rpy
 from hpac_gym.body.object_models import Solid
-from hpac_gym.model import JOINTS
+from hpac_gym.model import JOINTS, joints_from_synergy
 from hpac_gym.model.checks import Array
+from hpac_gym.physics.engine import HAND_POSITION, SceneSetup, matrix_from_quaternion
+from hpac_gym.physics.supports import support_boxes
 
 SKIN = 0.9
 """Fraction of a capsule's radius that occludes: a point under the edge of a touching finger stays
 visible.
 """
-
+ALONG = 9
+"""Points along each link at which it is compared with the support, at most 8 mm apart."""
+_AROUND = np.vstack([np.zeros(3), np.eye(3), -np.eye(3)])
 
 Rows = NDArray[np.int_] | slice
 """Some of n worlds."""
@@ -280,3 +284,46 @@ def inside(solid: Solid, points: Array) -> NDArray[np.bool_]:
     middle = half[2] - half[0]
     own[:, 2] -= np.clip(own[:, 2], -middle, middle)
     return np.linalg.norm(own, axis=1) < half[0]
+
+
+def in_the_way(setup: SceneSetup) -> bool:
+    """True if the hand at the start of an episode has its thumb inside a finger, or penetrates the
+    support of its object or the table.
+
+    Judged by geometry: a digit that is wedged against a support stays about its joint's stop.
+    """
+    joint_pos = joints_from_synergy(setup.synergy, setup.hand)
+    if _SKELETON.thumb_in_finger(joint_pos, 0):
+        return True
+    bones = HAND_POSITION + _bones(joint_pos) @ setup.hand_rotation.T
+    for box in support_boxes(setup):
+        own = (bones - box.centre) @ matrix_from_quaternion(box.quaternion)
+        distance = np.linalg.norm(np.maximum(np.abs(own) - box.half_extents, 0.0), axis=-1)
+        if (distance < SKIN * _SKELETON.radius[0]).any():
+            return True
+    return False
+
+
+def points_in_object(setup: SceneSetup, skin: float = 0.0) -> int:
+    """How many points of the hand are inside the object at the start of an episode: those along the
+    axes of its links and palm, and with a `skin` others at this fraction of the radius about them.
+    """
+    if setup.object is None:
+        return 0
+    turn = setup.hand_rotation.T @ matrix_from_quaternion(setup.object_turn[0])
+    bones = _bones(joints_from_synergy(setup.synergy, setup.hand))
+    own = (bones - setup.position) @ turn
+    offsets = _AROUND if skin else _AROUND[:1]
+    around = skin * _SKELETON.radius[0][:, None, None] * offsets
+    points = (own[:, :, None] + around).reshape(-1, 3)
+    solids = setup.object.solid_model.solids
+    return sum(int(inside(solid, points).sum()) for solid in solids)
+
+
+def _bones(joint_pos: Array) -> Array:
+    """Points along the axes of the hand's capsules, in the hand frame, shape (`ALONG`, m, 3) [m]."""
+    first, second = (ends[0] for ends in _SKELETON.segments(joint_pos[None], np.array([0])))
+    return first + np.linspace(0, 1, ALONG)[:, None, None] * (second - first)
+
+
+_SKELETON = Skeleton(1)

@@ -1,17 +1,28 @@
-"""Wrist placement for an object of known size and pose, by one rule for all objects.
+"""Wrist placement: for an object of known size and pose, by one rule for all objects, and where the
+first action of an episode asks for it.
 
 Engines do not move the wrist before an episode. Instead, the object and its support are displaced
 in the hand's frame, and a rotation of the wrist about the vertical becomes the opposite rotation of
 the object about the wrist."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from hpac_gym.body.geometry import HPAC_GEOMETRY, Geometry, link_poses
 from hpac_gym.body.hands import HandVariant
 from hpac_gym.body.objects import Support
-from hpac_gym.model import FINGERS, HPAC, JOINT_INDEX, Hand, joints_from_synergy
+from hpac_gym.model import (
+    FINGERS,
+    HPAC,
+    JOINT_INDEX,
+    SERVOS,
+    Hand,
+    joints_from_synergy,
+    synergy_from_action,
+)
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import (
     HAND_POSITION,
@@ -19,8 +30,9 @@ from hpac_gym.physics.engine import (
     SceneSetup,
     matrix_from_quaternion,
 )
+from hpac_gym.physics.supports import POST
 from hpac_gym.tasks.grasp import PALM_SURFACE
-from hpac_gym.tasks.grasp_data import quaternion_from_rpy
+from hpac_gym.tasks.grasp_data import NamedGrasp, quaternion_from_rpy
 
 TILT = np.deg2rad(16.0)
 """Downward tilt of the fingers of a hand above an object, at which they reach as deep as the thumb
@@ -62,6 +74,21 @@ clearance [m].
 CENTRE_SIDE = 0.1125
 CENTRE_ABOVE = 0.088
 """Best object position for closing, along the fingers, as horizontal distance from the wrist [m].
+"""
+
+WRIST_ACTIONS = ("grasp_x", "grasp_y", "grasp_z", "turn_x", "turn_y", "turn_z")
+START = np.array([0.20, 0.0, 0.11])
+"""Centre of the object in the hand frame when an episode with a free wrist begins: out of reach
+[m].
+"""
+WRIST_CENTRE = np.array([0.06, 0.0, 0.11])
+WRIST_REACH = 0.065
+"""Object centre in the hand frame for a wrist action of 0, and its displacement along the hand's
+axes for one of 1 [m].
+"""
+WRIST_TURN = 2.0
+"""Component of the rotation vector from `HAND_QUATERNION`, along the hand's axes, for an action of
+1 [rad].
 """
 
 
@@ -201,3 +228,55 @@ def _highest(forward: float, around: Array, low: float, stand: bool, reach: Reac
     )
     beneath_hand = -around[2] / 2 - max(PALM_DEPTH, below_fingers)
     return beneath_hand if stand else min(beneath_hand, low - DIGIT_DEPTH - reach.down)
+
+
+def out_of_reach(setup: SceneSetup, start: NamedGrasp) -> SceneSetup:
+    """The setup with the open hand at the start of an episode with a free wrist, given the data that
+    it was drawn from.
+    """
+    position = START + setup.position - start.position
+    return _elsewhere(setup, np.zeros(len(SERVOS)), position, HAND_QUATERNION)
+
+
+def arrived(setup: SceneSetup, action: Array) -> SceneSetup:
+    """The setup requested by an episode's first action, shape (12,): hand synergy, wrist position
+    and rotation.
+
+    The object's position noise is kept, since the arm does not know it.
+    """
+    place, turn = np.split(action[len(SERVOS) :], 2)
+    rotation = Rotation.from_quat(HAND_QUATERNION) * Rotation.from_rotvec(WRIST_TURN * turn)
+    position = WRIST_CENTRE + WRIST_REACH * place + setup.position - START
+    synergy = synergy_from_action(action[: len(SERVOS)], setup.hand)
+    return _elsewhere(setup, synergy, position, rotation.as_quat())
+
+
+def _elsewhere(
+    setup: SceneSetup, synergy: Array, position: Array, quaternion: Sequence[float]
+) -> SceneSetup:
+    """The setup with another synergy, another object position in the hand frame, and another hand
+    orientation: object, support and table move up or down.
+    """
+    rises = (matrix_from_quaternion(quaternion) @ position - setup.hand_rotation @ setup.position)[
+        2
+    ]
+    support = setup.support or POST
+    return replace(
+        setup,
+        synergy=synergy,
+        position=position,
+        hand_quaternion=tuple(map(float, quaternion)),
+        support=replace(support, table_height=support.table_height + float(rises)),
+    )
+
+
+def wrist_choice(start: NamedGrasp) -> Array:
+    """Last six numbers of the first action that moves the wrist to the pose of a type's data, shape
+    (6,), −1…1.
+    """
+    turn = Rotation.from_quat(HAND_QUATERNION).inv() * Rotation.from_quat(
+        quaternion_from_rpy(start.hand_rpy)
+    )
+    return np.concatenate(
+        [(np.array(start.position) - WRIST_CENTRE) / WRIST_REACH, turn.as_rotvec() / WRIST_TURN]
+    )

@@ -42,8 +42,8 @@ from hpac_gym.model import HPAC, JOINTS, SERVOS, action_from_synergy
 from hpac_gym.model.joints import JOINT_INDEX
 from hpac_gym.physics.engine import SceneSetup
 from hpac_gym.registration import GENTLE, GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE, POSTURE
-from hpac_gym.tasks.arrival import wrist_choice
 from hpac_gym.tasks.grasp_rules import GRASP_TYPES
+from hpac_gym.tasks.placing import wrist_choice
 from tests.envs.stories import Story
 
 FILE = Path(__file__).with_name("fingerprints.json")

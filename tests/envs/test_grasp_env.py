@@ -9,9 +9,8 @@ import pytest
 from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.envs import Grasp, ScriptedClosure
 from hpac_gym.model import HPAC
-from hpac_gym.tasks.arrival import points_in_object
 from hpac_gym.tasks.grip import MAX_SLIP
-from hpac_gym.tasks.occlusion import SKIN
+from hpac_gym.tasks.occlusion import SKIN, points_in_object
 from hpac_gym.tasks.phases import Timetable, wrist_table
 from tests.envs.episodes import Opens, Still, a_setup, run, steps
 

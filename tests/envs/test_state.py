@@ -10,8 +10,8 @@ from hpac_gym.envs.snapshots import undeclared
 from hpac_gym.errors import EpisodeError
 from hpac_gym.physics.simulation import ENGINES
 from hpac_gym.registration import GENTLE, GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE, POSTURE
-from hpac_gym.tasks.arrival import wrist_choice
 from hpac_gym.tasks.grasp_rules import GRASP_TYPES
+from hpac_gym.tasks.placing import wrist_choice
 
 
 def closing(env: gymnasium.Env, steps: int, rng: np.random.Generator) -> np.ndarray:

@@ -11,8 +11,8 @@ from hpac_gym.model import SERVO_INDEX
 from hpac_gym.policies import Closures, LearnedPolicy, PolicyError
 from hpac_gym.policies.made_for import difference, made_for
 from hpac_gym.policies.policy_file import from_description
-from hpac_gym.tasks.arrival import WRIST_ACTIONS
 from hpac_gym.tasks.grasp_any import WRIST_ACTIONS as WRIST_SHIFT
+from hpac_gym.tasks.placing import WRIST_ACTIONS
 from tests.policies.episodes import actions_of
 
 CMC = SERVO_INDEX["thumb_cmc"]
