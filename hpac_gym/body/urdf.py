@@ -6,11 +6,13 @@ for a link without ``<inertial>``. Joint damping and friction are zero: Bullet i
 explicitly, which oscillates on links this light. An object's frame has its origin at the centre of
 its bounding box; its centre of mass follows from its solids."""
 
+import itertools
 import tempfile
 from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 from xml.etree import ElementTree as Xml
+from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
@@ -49,18 +51,19 @@ def hand_urdf(geometry: Geometry, on_wrist: bool = False) -> str:
         on_wrist: mount the palm on three prismatic joints ``wrist_x wrist_y wrist_z`` from a link
             ``wrist_base``.
     """
-    robot = Xml.Element("robot", name="hpac_hand")
-    for name, rgba in COLORS.items():
-        Xml.SubElement(Xml.SubElement(robot, "material", name=name), "color", rgba=text_of(rgba))
+    parts = [_material(name, rgba) for name, rgba in COLORS.items()]
     if on_wrist:
-        _add_wrist(robot)
-    _add_palm(robot, geometry)
+        parts += _wrist()
+    shapes = [
+        _visual(solid, "palm" if isinstance(solid, Box) else "housing") + _collision(solid)
+        for solid in geometry.palm_solids
+    ]
+    parts.append(_link("palm", geometry.palm_solids, geometry.palm_mass, shapes))
     for digit in geometry.digits:
         for phalanx in digit.phalanges:
             tip = "pad" if phalanx is digit.phalanges[-1] else "phalanx"
-            _add_phalanx(robot, phalanx, geometry, tip)
-    Xml.indent(robot)
-    return HEADER + Xml.tostring(robot, encoding="unicode") + "\n"
+            parts += _phalanx(phalanx, geometry, tip)
+    return _document("hpac_hand", parts)
 
 
 def solid_inertia(solids: tuple[Part, ...], mass: float) -> tuple[Array, Array]:
@@ -79,117 +82,126 @@ def solid_inertia(solids: tuple[Part, ...], mass: float) -> tuple[Array, Array]:
     return center, inertia
 
 
-def _add_palm(robot: Xml.Element, geometry: Geometry) -> None:
-    link = Xml.SubElement(robot, "link", name="palm")
-    add_inertial(link, *solid_inertia(geometry.palm_solids, geometry.palm_mass), geometry.palm_mass)
-    for solid in geometry.palm_solids:
-        _add_visual(link, solid, "palm" if isinstance(solid, Box) else "housing")
-        _add_collision(link, solid)
+def _document(name: str, parts: Iterable[str]) -> str:
+    """A robot of some parts as indented text."""
+    robot = Xml.fromstring(f"<robot name={quoteattr(name)}>{''.join(parts)}</robot>")
+    Xml.indent(robot)
+    return HEADER + Xml.tostring(robot, encoding="unicode") + "\n"
 
 
-def _add_phalanx(robot: Xml.Element, phalanx: Phalanx, geometry: Geometry, tip: str) -> None:
-    """Add a link with its joint."""
-    link = Xml.SubElement(robot, "link", name=phalanx.link)
-    add_inertial(link, *solid_inertia((phalanx.capsule,), phalanx.mass), phalanx.mass)
-    _add_visual(link, phalanx.capsule, "phalanx", tip)
-    _add_visual(link, phalanx.pin, "hinge")
-    _add_collision(link, phalanx.capsule)
+def _material(name: str, rgba: Iterable[float]) -> str:
+    return f'<material name="{name}"><color rgba="{text_of(rgba)}"/></material>'
+
+
+def _link(name: str, solids: tuple[Part, ...], mass: float, shapes: Iterable[str] = ()) -> str:
+    inertial = _inertial(*solid_inertia(solids, mass), mass)
+    return f'<link name="{name}">{inertial}{"".join(shapes)}</link>'
+
+
+def _phalanx(phalanx: Phalanx, geometry: Geometry, tip: str) -> list[str]:
+    """A link with its joint."""
+    shapes = (
+        _visual(phalanx.capsule, "phalanx", tip),
+        _visual(phalanx.pin, "hinge"),
+        _collision(phalanx.capsule),
+    )
+    link = _link(phalanx.link, (phalanx.capsule,), phalanx.mass, shapes)
     index = JOINTS.index(phalanx.joint)
     limits = HPAC.joint_min[index], HPAC.joint_max[index], geometry.effort, geometry.velocity
-    origin = {"xyz": text_of(phalanx.origin), "rpy": text_of(phalanx.rpy)}
-    _add_joint(
-        robot, phalanx.joint, "revolute", phalanx.parent, phalanx.link, phalanx.axis, limits, origin
+    ends = phalanx.parent, phalanx.link
+    origin = f'<origin xyz="{text_of(phalanx.origin)}" rpy="{text_of(phalanx.rpy)}"/>'
+    return [link, _joint(phalanx.joint, "revolute", ends, phalanx.axis, limits, origin)]
+
+
+def _wrist() -> list[str]:
+    links = ("wrist_base", "wrist_x_link", "wrist_y_link", "palm")
+    limits = -WRIST_RANGE, WRIST_RANGE, WRIST_EFFORT, WRIST_VELOCITY
+    return [_link(name, (WRIST_SLIDE,), WRIST_SLIDE_MASS) for name in links[:-1]] + [
+        _joint(f"wrist_{name}", "prismatic", ends, axis, limits)
+        for name, axis, ends in zip("xyz", np.eye(3), itertools.pairwise(links), strict=True)
+    ]
+
+
+def _joint(
+    name: str,
+    kind: str,
+    ends: tuple[str, str],
+    axis: Vector | Array,
+    limits: tuple[float, float, float, float],
+    origin: str = "",
+) -> str:
+    """A joint between two links, parent and child."""
+    parent, child = ends
+    lower, upper, effort, velocity = (text_of((value,)) for value in limits)
+    # Bullet's mass matrix prints a warning unless the axis has unit length to the last digit.
+    return f"""<joint name="{name}" type="{kind}">
+        <parent link="{parent}"/>
+        <child link="{child}"/>
+        <axis xyz="{text_of(axis, digits=15)}"/>
+        {origin}
+        <limit lower="{lower}" upper="{upper}" effort="{effort}" velocity="{velocity}"/>
+        <dynamics damping="0" friction="0"/>
+    </joint>"""
+
+
+def _inertial(center: Array, inertia: Array, mass: float) -> str:
+    """Mass [kg], centre of mass, shape (3,) [m], and inertia about it, shape (3, 3) [kg·m²]."""
+    (xx, xy, xz), (_, yy, yz), (_, _, zz) = (
+        [text_of((value,)) for value in row] for row in inertia
+    )
+    return f"""<inertial>
+        <origin xyz="{text_of(center)}" rpy="0 0 0"/>
+        <mass value="{text_of((mass,))}"/>
+        <inertia ixx="{xx}" ixy="{xy}" ixz="{xz}" iyy="{yy}" iyz="{yz}" izz="{zz}"/>
+    </inertial>"""
+
+
+def _collision(solid: Part) -> str:
+    form = (
+        _box(solid.size)
+        if isinstance(solid, Box)
+        else _round("capsule", solid.radius, _length(solid))
+    )
+    return _shape("collision", _center(solid), _rpy(solid), form)
+
+
+def _visual(solid: Part, material: str, end_material: str | None = None) -> str:
+    """A capsule is a cylinder and two spheres, which PyBullet renders more smoothly than its own
+    capsule.
+    """
+    if isinstance(solid, Box):
+        return _shape("visual", solid.center, (0.0, 0.0, 0.0), _box(solid.size), material)
+    rpy = _rpy(solid)
+    ball = f'<sphere radius="{text_of((solid.radius,))}"/>'
+    return (
+        _shape(
+            "visual",
+            _center(solid),
+            rpy,
+            _round("cylinder", solid.radius, _length(solid)),
+            material,
+        )
+        + _shape("visual", solid.start, rpy, ball, material)
+        + _shape("visual", solid.end, rpy, ball, end_material or material)
     )
 
 
-def _add_wrist(robot: Xml.Element) -> None:
-    links = ("wrist_base", "wrist_x_link", "wrist_y_link", "palm")
-    for name in links[:-1]:
-        add_inertial(
-            Xml.SubElement(robot, "link", name=name),
-            *solid_inertia((WRIST_SLIDE,), WRIST_SLIDE_MASS),
-            WRIST_SLIDE_MASS,
-        )
-    for name, axis, parent, child in zip("xyz", np.eye(3), links, links[1:], strict=False):
-        limits = -WRIST_RANGE, WRIST_RANGE, WRIST_EFFORT, WRIST_VELOCITY
-        _add_joint(robot, f"wrist_{name}", "prismatic", parent, child, axis, limits)
+def _shape(use: str, center: Vector | Array, rpy: Vector, form: str, material: str = "") -> str:
+    """A shape for one use, "visual" or "collision"."""
+    surface = f'<material name="{material}"/>' if material else ""
+    return f"""<{use}>
+        <origin xyz="{text_of(center)}" rpy="{text_of(rpy)}"/>
+        <geometry>{form}</geometry>
+        {surface}
+    </{use}>"""
 
 
-def _add_joint(
-    robot: Xml.Element,
-    name: str,
-    kind: str,
-    parent: str,
-    child: str,
-    axis: Vector | Array,
-    limits: tuple[float, float, float, float],
-    origin: dict[str, str] | None = None,
-) -> None:
-    joint = Xml.SubElement(robot, "joint", name=name, type=kind)
-    Xml.SubElement(joint, "parent", link=parent)
-    Xml.SubElement(joint, "child", link=child)
-    # Bullet's mass matrix prints a warning unless the axis has unit length to the last digit.
-    Xml.SubElement(joint, "axis", xyz=text_of(axis, digits=15))
-    if origin:
-        Xml.SubElement(joint, "origin", origin)
-    lower, upper, effort, velocity = (text_of((value,)) for value in limits)
-    Xml.SubElement(joint, "limit", lower=lower, upper=upper, effort=effort, velocity=velocity)
-    Xml.SubElement(joint, "dynamics", damping="0", friction="0")
+def _box(size: Vector) -> str:
+    return f'<box size="{text_of(size)}"/>'
 
 
-def add_inertial(link: Xml.Element, center: Array, inertia: Array, mass: float) -> None:
-    """Add mass [kg], centre of mass, shape (3,) [m], and inertia about it, shape (3, 3) [kg·m²], to
-    a link.
-    """
-    inertial = Xml.SubElement(link, "inertial")
-    Xml.SubElement(inertial, "origin", xyz=text_of(center), rpy="0 0 0")
-    Xml.SubElement(inertial, "mass", value=text_of((mass,)))
-    entries = {
-        f"i{'xyz'[i]}{'xyz'[j]}": text_of((inertia[i, j],)) for i in range(3) for j in range(i, 3)
-    }
-    Xml.SubElement(inertial, "inertia", entries)
-
-
-def _add_collision(link: Xml.Element, solid: Part) -> None:
-    kind = "box" if isinstance(solid, Box) else "capsule"
-    add_shape(link, "collision", _center(solid), _rpy(solid), kind, _size(solid))
-
-
-def _add_visual(
-    link: Xml.Element, solid: Part, material: str, end_material: str | None = None
-) -> None:
-    """Add a capsule as a cylinder and two spheres, which PyBullet renders more smoothly than its
-    own capsule.
-    """
-    kind = "box" if isinstance(solid, Box) else "cylinder"
-    add_shape(link, "visual", _center(solid), _rpy(solid), kind, _size(solid), material)
-    if isinstance(solid, Capsule):
-        ball = {"radius": text_of((solid.radius,))}
-        add_shape(link, "visual", solid.start, _rpy(solid), "sphere", ball, material)
-        add_shape(link, "visual", solid.end, _rpy(solid), "sphere", ball, end_material or material)
-
-
-def add_shape(
-    link: Xml.Element,
-    use: str,
-    center: Vector | Array,
-    rpy: Vector,
-    kind: str,
-    size: dict[str, str],
-    material: str = "",
-) -> None:
-    """Add a shape to a link for one use, "visual" or "collision"."""
-    shape = Xml.SubElement(link, use)
-    Xml.SubElement(shape, "origin", xyz=text_of(center), rpy=text_of(rpy))
-    Xml.SubElement(Xml.SubElement(shape, "geometry"), kind, size)
-    if material:
-        Xml.SubElement(shape, "material", name=material)
-
-
-def _size(solid: Part) -> dict[str, str]:
-    if isinstance(solid, Box):
-        return {"size": text_of(solid.size)}
-    return {"radius": text_of((solid.radius,)), "length": text_of((_length(solid),))}
+def _round(kind: str, radius: float, length: float) -> str:
+    return f'<{kind} radius="{text_of((radius,))}" length="{text_of((length,))}"/>'
 
 
 def _volume(solid: Part) -> float:
@@ -240,19 +252,13 @@ def object_urdf(model: ObjectModel, folder: Path | str = "") -> str:
         model: the object.
         folder: folder of the meshes of its hulls.
     """
-    robot = Xml.Element("robot", name=model.name)
-    Xml.SubElement(
-        Xml.SubElement(robot, "material", name="surface"), "color", rgba=text_of(model.color)
-    )
-    link = Xml.SubElement(robot, "link", name=model.name)
-    add_inertial(link, model.center_of_mass, model.inertia, model.mass)
+    shapes = []
     for index, solid in enumerate(model.solids):
-        place = solid.center, _rpy_of(solid.rotation)
-        form, size = _form(solid, _mesh(folder, index))
-        add_shape(link, "visual", *place, form, size, "surface")
-        add_shape(link, "collision", *place, form, size)
-    Xml.indent(robot)
-    return HEADER + Xml.tostring(robot, encoding="unicode") + "\n"
+        place = solid.center, _rpy_of(solid.rotation), _form(solid, _mesh(folder, index))
+        shapes += _shape("visual", *place, "surface"), _shape("collision", *place)
+    inertial = _inertial(model.center_of_mass, model.inertia, model.mass)
+    link = f"<link name={quoteattr(model.name)}>{inertial}{''.join(shapes)}</link>"
+    return _document(model.name, (_material("surface", model.color), link))
 
 
 @cache
@@ -279,15 +285,15 @@ def _mesh(folder: Path | str, index: int) -> Path:
     return Path(folder, f"hull_{index}.obj")
 
 
-def _form(solid: Solid, mesh: Path) -> tuple[str, dict[str, str]]:
+def _form(solid: Solid, mesh: Path) -> str:
     if solid.kind == "hull":
-        return "mesh", {"filename": str(mesh)}
+        return f"<mesh filename={quoteattr(str(mesh))}/>"
     if solid.kind == "box":
-        return "box", {"size": text_of(solid.size)}
+        return _box(solid.size)
     if solid.kind == "sphere":
-        return "sphere", {"radius": text_of([solid.radius])}
+        return f'<sphere radius="{text_of([solid.radius])}"/>'
     length = solid.size[2] - (2 * solid.radius if solid.kind == "capsule" else 0.0)
-    return solid.kind, {"radius": text_of([solid.radius]), "length": text_of([length])}
+    return _round(solid.kind, solid.radius, length)
 
 
 def _rpy_of(rotation: Array) -> tuple[float, float, float]:
