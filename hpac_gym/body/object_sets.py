@@ -13,7 +13,7 @@ import numpy as np
 
 from hpac_gym.body.geometry import table_of
 from hpac_gym.body.object_models import ObjectModel, load_object_models, object_model
-from hpac_gym.errors import ParameterError
+from hpac_gym.settings import check_choice
 
 SPLITS = ("train", "wide", "test", "real")
 """Procedural training objects, the same and plain solids, held-out procedural objects, and real
@@ -68,8 +68,7 @@ def object_set(split: str) -> tuple[RestingObject, ...]:
     Raises:
         ParameterError: `split` is not one of `SPLITS`.
     """
-    if split not in SPLITS:
-        raise ParameterError(f"split {split!r} of objects is not one of {', '.join(SPLITS)}")
+    check_choice("object split", split, SPLITS)
     return _object_sets()[split]
 
 

@@ -143,12 +143,8 @@ class GraspAny(Task):
             *progress_terms(PHASES, self.duration),
         )
         self.privileged_terms = (*PRIVILEGED_TERMS, *HIDDEN_TERMS)
-        self.reward_terms = self._rewards()
-
-    def _rewards(self) -> tuple[RewardTerm, ...]:
-        weights = self.config.weights
-        config = self.config
-        return (
+        weights = config.weights
+        self.reward_terms = (
             RewardTerm(
                 "contact",
                 f"while closing, change of the contact score in this step: {weights.thumb:g} for the thumb, "
