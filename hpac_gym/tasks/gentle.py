@@ -15,7 +15,6 @@ from hpac_gym.physics.engine import SceneSetup, SceneState
 from hpac_gym.settings import setting
 from hpac_gym.tasks.cameras import CameraNoise
 from hpac_gym.tasks.grasp import OBJECT_OPTION, Grasp, GraspConfig, GraspWeights
-from hpac_gym.tasks.occlusion import Rows
 from hpac_gym.tasks.phases import Timetable
 from hpac_gym.tasks.privileged import PRIVILEGED_TERMS
 from hpac_gym.tasks.senses import LOAD_TERMS, Senses, ServoSenses
@@ -99,7 +98,7 @@ class _Camera(Senses):
     def _surface(self, spec: ObjectSpec) -> tuple[Array, Array]:
         return np.zeros((2, 1, 3))
 
-    def _share(self, state: SceneState, rows: Rows) -> Array:
+    def _share(self, state: SceneState, rows: NDArray[np.int_]) -> Array:
         return np.ones(1)
 
 

@@ -23,9 +23,6 @@ ALONG = 9
 """Points along each link at which it is compared with the support, at most 8 mm apart."""
 _AROUND = np.vstack([np.zeros(3), np.eye(3), -np.eye(3)])
 
-Rows = NDArray[np.int_] | slice
-"""Some of n worlds."""
-
 
 class Skeleton:
     """Capsule models of n hands: three links per digit, then the palm.
@@ -69,12 +66,12 @@ class Skeleton:
         self._end[..., world].flat = [link.capsule.end[2] for link in links]
         self.radius[world, : len(links)] = [link.capsule.radius for link in links]
 
-    def segments(self, joint_pos: Array, worlds: Rows) -> Array:
+    def segments(self, joint_pos: Array, worlds: NDArray[np.int_]) -> Array:
         """Ends of the capsules' axes of some hands in the hand frame.
 
         Args:
             joint_pos: shape (k, 15) [rad].
-            worlds: indices of the hands, shape (k,), or a slice.
+            worlds: indices of the hands, shape (k,).
 
         Returns:
             shape (2, k, m, 3) [m].

@@ -15,7 +15,7 @@ from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import SceneSetup, SceneState, Viewpoint
 from hpac_gym.physics.tendons import ROOTS, Drive
 from hpac_gym.tasks.cameras import CameraNoise, ObjectCamera
-from hpac_gym.tasks.occlusion import Rows, Skeleton, covered, dots, surface
+from hpac_gym.tasks.occlusion import Skeleton, covered, dots, surface
 from hpac_gym.tasks.terms import GRASP_CENTRE, LENGTH_UNIT, Term
 
 POINTS = 64
@@ -169,8 +169,7 @@ class Senses:
         rows.sort()
         seen = self._camera.look(state, rows)
         first = self._count[rows] == 0
-        every = len(rows) == len(self._count)  # without copies of what each world has
-        visible = self._share(state, slice(None) if every else rows) >= SEEN_SHARE
+        visible = self._share(state, rows) >= SEEN_SHARE
         self._seen["visible"][rows] = visible
         taken = rows[visible | first]  # in the first look the hand is not there yet
         for name in _OF_CAMERA:
@@ -212,13 +211,15 @@ class Senses:
         stalled = stretch - tension / stiffness
         return stalled / radius + tension * radius / self._servos.stiffness
 
-    def _share(self, state: SceneState, rows: Rows) -> Array:
+    def _share(self, state: SceneState, rows: NDArray[np.int_]) -> Array:
         """Visible fraction of the points that face the camera, shape (len(rows),)."""
         facing, hidden, _ = self._sight(state, rows, _PROBED)
         facing = facing.sum(axis=1)
         return (facing - hidden.sum(axis=1)) / np.maximum(facing, 1)
 
-    def _sight(self, state: SceneState, rows: Rows, count: int) -> tuple[NDArray, NDArray, Array]:
+    def _sight(
+        self, state: SceneState, rows: NDArray[np.int_], count: int
+    ) -> tuple[NDArray, NDArray, Array]:
         """Masks of the points that face the camera and of those of them that are occluded, and all
         points in the hand frame [m].
         """
@@ -235,7 +236,7 @@ class Senses:
         """Visible points, shape (n, POINTS, 4): x, y, z from `GRASP_CENTRE` in `LENGTH_UNIT`, and
         1; unused rows are zero.
         """
-        facing, hidden, points = self._sight(state, slice(None), _SPREAD)
+        facing, hidden, points = self._sight(state, np.arange(len(self._count)), _SPREAD)
         shift = self._camera.error[:, :3]  # one for all points
         seen = facing & ~hidden
         found = np.zeros((len(points), POINTS, 4), np.float32)
