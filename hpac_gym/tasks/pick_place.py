@@ -44,6 +44,8 @@ from hpac_gym.tasks.terms import (
 
 PHASES = ("reach", "close", "lift", "place")
 REACH, CLOSE, LIFT, PLACE = range(4)
+HAND_AXES = [1, 2, 0]
+"""The world's axes along which the hand's x, y and z point with `HAND_QUATERNION`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,7 +154,9 @@ class PickPlace(Task):
             -10.0,
             10.0,
             "target position of the object, as `object_pos`",
-            lambda now: (self._target - self._offset(now.state) - GRASP_CENTRE) / LENGTH_UNIT,
+            lambda now: (
+                (self._target - now.state.palm_offset[:, HAND_AXES] - GRASP_CENTRE) / LENGTH_UNIT
+            ),
         )
         self.terms = (*COMMAND_TERMS, *OBJECT_TERMS, *progress_terms(PHASES, self.duration), target)
         weights = config.weights
@@ -193,7 +197,6 @@ class PickPlace(Task):
 
     def prepare(self, num_worlds: int, noise: CameraNoise) -> ObjectCamera:
         self._place, self._target, self._grasped_at = (np.zeros((num_worlds, 3)) for _ in range(3))
-        self._rotation = np.zeros((num_worlds, 3, 3))
         self._astray, self._lowered, self._standing = (
             np.zeros(num_worlds, dtype=kind) for kind in (float, bool, bool)
         )
@@ -238,7 +241,6 @@ class PickPlace(Task):
         index = np.asarray(worlds)
         self._place[index] = [s.position for s in setups]
         self._target[index] = [s.target for s in setups]
-        self._rotation[index] = [setup.hand_rotation for setup in setups]
 
     def wrist_path(self, setup: SceneSetup, times: tuple[float, ...]) -> Array:
         """Offset of the wrist at times [s], along the world's axes, shape (len(times), 3) [m], via
@@ -246,12 +248,6 @@ class PickPlace(Task):
         """
         aside, up, forward = setup.target - setup.position
         return self.timetable.wrist_path(times, np.array([forward, aside, up]))
-
-    def _offset(self, state: SceneState) -> Array:
-        """Displacement of the wrist from its start, along the axes of the hand frame, shape (n, 3)
-        [m].
-        """
-        return np.einsum("nji,nj->ni", self._rotation, state.palm_offset)
 
     def judge(self, state: SceneState, dt: float) -> NDArray[np.int_]:
         """Advance by one control step and judge the episodes.
@@ -263,12 +259,12 @@ class PickPlace(Task):
         touched = state.touching.any(axis=1)
         self.grip.follow(state.object_pos, touched, state.supported, dt)
         # Along the hand's axes, from the hand's initial position.
-        away = state.object_pos + self._offset(state)
+        away = state.object_pos + state.palm_offset[:, HAND_AXES]
         close = self.timetable.ends[1]
         lowered = self.timetable.ends[4]
         closing = state.time < close + dt / 2
         self._lowered = state.time > lowered - dt / 2
-        up = np.einsum("ni,ni->n", self._rotation[:, 2], state.object_rotation[:, :, 2])
+        up = state.object_rotation[:, HAND_AXES.index(2), 2]
         self._standing = state.on_target & (np.arccos(np.clip(up, -1.0, 1.0)) < config.upright)
         self._grasped_at[closing] = state.object_pos[closing]
         reference = np.where(closing[:, None], self._place, self._target)
