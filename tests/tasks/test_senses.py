@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hpac_gym.body.geometry import HPAC_GEOMETRY as GEOMETRY, link_poses
+from hpac_gym.body.geometry import HPAC_GEOMETRY as GEOMETRY, link_poses, rotation_from_rpy
 from hpac_gym.body.hands import hand_set
 from hpac_gym.body.object_models import Solid, load_object_models
 from hpac_gym.body.object_sets import object_set
@@ -76,12 +76,17 @@ def test_a_capsule_covers_what_is_behind_it_and_nothing_else():
 
 
 @pytest.mark.parametrize("kind", ["box", "cylinder", "sphere", "capsule"])
-def test_points_of_a_surface_lie_on_it_and_are_spread_evenly(kind):
+def test_points_of_a_surface_lie_on_it_are_spread_evenly_and_reach_its_bounds(kind):
     size = {"box": (0.02, 0.04, 0.06), "sphere": (0.04, 0.04, 0.04)}.get(kind, (0.03, 0.03, 0.08))
-    solid = Solid(kind, 1.0, size, np.array([0.01, 0.0, 0.0]), np.eye(3))
+    turn = rotation_from_rpy((0.4, -1.1, 2.3))
+    solid = Solid(kind, 1.0, size, np.array([0.01, 0.0, 0.0]), turn)
     points, normals = surface(kind, (solid,), 2000)
+    low, high = solid.bounds
+    assert ((points >= low - 1e-12) & (points <= high + 1e-12)).all()
+    np.testing.assert_allclose([points.min(axis=0), points.max(axis=0)], [low, high], atol=2e-3)
     half = np.array(size) / 2
-    own = points - solid.center
+    own = (points - solid.center) @ turn
+    normals = normals @ turn
     if kind == "box":
         np.testing.assert_allclose(np.abs(own / half).max(axis=1), 1.0)
     elif kind == "cylinder":
