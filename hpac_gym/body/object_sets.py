@@ -4,7 +4,7 @@ beside them or not, 50 held-out ones, and real ones.
 Every object has its stable poses. The procedural objects are drawn by ``tools/object_families.py``;
 the poses were found by simulation (``tools/resting_poses.py``) and are stored as data."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -102,12 +102,12 @@ def _object_sets() -> dict[str, tuple[RestingObject, ...]]:
 
 def resting(model: ObjectModel, friction: float, entry: Mapping[str, Any]) -> RestingObject:
     """An object with the stable poses given by an entry of ``data/resting_poses.toml``."""
-    poses = tuple(resting_pose(model, tuple(numbers[:4]), numbers[4]) for numbers in entry["poses"])
-    return RestingObject(model, friction, poses, entry["stand"])
+    poses = (resting_pose(model, quaternion, share) for *quaternion, share in entry["poses"])
+    return RestingObject(model, friction, tuple(poses), entry["stand"])
 
 
 def resting_pose(
-    model: ObjectModel, quaternion: tuple[float, float, float, float], share: float
+    model: ObjectModel, quaternion: Sequence[float], share: float
 ) -> RestingPose:
     """The resting pose of an object in a given orientation, with its lowest point on the surface.
 

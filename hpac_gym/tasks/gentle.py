@@ -202,15 +202,10 @@ class Gentle(Grasp):
     def judge(self, state: SceneState, dt: float) -> NDArray[np.int_]:
         """As `Grasp.judge`; an episode also fails as soon as the squeeze exceeds the limit."""
         outcome = super().judge(state, dt)
-        steps = state.force_steps.shape[1]
-        share = -np.expm1(-dt / steps / self.config.squeeze_time)
-        squeeze = self.squeeze
-        peak = self.peak
+        share = -np.expm1(-dt / state.force_steps.shape[1] / self.config.squeeze_time)
         for force in state.force_steps.T:
-            squeeze = squeeze + share * (force / 2 - squeeze)
-            peak = np.maximum(peak, squeeze)
-        self.squeeze = squeeze
-        self.peak = peak
+            self.squeeze = self.squeeze + share * (force / 2 - self.squeeze)
+            self.peak = np.maximum(self.peak, self.squeeze)
         return np.where(self.crushed, FAILURE, outcome)
 
     @property

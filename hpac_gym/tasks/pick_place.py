@@ -260,8 +260,7 @@ class PickPlace(Task):
         self.grip.follow(state.object_pos, touched, state.supported, dt)
         # Along the hand's axes, from the hand's initial position.
         away = state.object_pos + state.palm_offset[:, HAND_AXES]
-        close = self.timetable.ends[1]
-        lowered = self.timetable.ends[4]
+        _, close, _, _, lowered, *_ = self.timetable.ends
         closing = state.time < close + dt / 2
         self._lowered = state.time > lowered - dt / 2
         up = state.object_rotation[:, HAND_AXES.index(2), 2]

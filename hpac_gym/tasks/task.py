@@ -247,13 +247,10 @@ def contact_score(weights: Any, touching: NDArray[np.bool_]) -> Array:
 
 def contact_term(weights: Any, phase: int) -> RewardTerm:
     """Reward for touching the object in one phase."""
-    meaning = (
-        f"while closing: {weights.thumb:g} for the thumb and {weights.finger:g} for each finger that touches the object, "
-        f"{weights.opposed:g} when they oppose each other"
-    )
     return RewardTerm(
         "contact",
-        meaning,
+        f"while closing: {weights.thumb:g} for the thumb and {weights.finger:g} for each finger that touches the object, "
+        f"{weights.opposed:g} when they oppose each other",
         lambda now: np.where(now.began == phase, contact_score(weights, now.state.touching), 0.0),
     )
 
@@ -279,5 +276,8 @@ def effort_term(weights: Any) -> RewardTerm:
 def outcome_term(weights: Any) -> RewardTerm:
     """Reward for how an episode ends."""
     by_outcome = np.array([0.0, weights.success, weights.failure])
-    meaning = f"{weights.success:g} for success or {weights.failure:g} for failure, once"
-    return RewardTerm("outcome", meaning, lambda now: by_outcome.take(now.outcome))
+    return RewardTerm(
+        "outcome",
+        f"{weights.success:g} for success or {weights.failure:g} for failure, once",
+        lambda now: by_outcome[now.outcome],
+    )
