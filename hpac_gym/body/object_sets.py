@@ -106,9 +106,7 @@ def resting(model: ObjectModel, friction: float, entry: Mapping[str, Any]) -> Re
     return RestingObject(model, friction, tuple(poses), entry["stand"])
 
 
-def resting_pose(
-    model: ObjectModel, quaternion: Sequence[float], share: float
-) -> RestingPose:
+def resting_pose(model: ObjectModel, quaternion: Sequence[float], share: float) -> RestingPose:
     """The resting pose of an object in a given orientation, with its lowest point on the surface.
 
     Args:

@@ -3,7 +3,6 @@
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -33,37 +32,21 @@ sooner."""
 
 _FINGERS = slice(1, -1)
 """Entries of the four fingers in a synergy."""
-
-
-@dataclass(frozen=True, slots=True)
-class AnyClosure:
-    """Closure for one kind of object."""
-
-    opposed: float
-    """CMC [rad]."""
-    thumb: float
-    """MP of the closed thumb [rad]."""
-    fingers: float
-    """MCP of the closed fingers [rad]."""
-    thumb_later: float
-    """Delay of the thumb after the fingers; negative if it begins before them [s]."""
-    time: float
-    """Closing time of the fingers [s]."""
-
-
 ANY_WIDTHS = (0.030, 0.050)
 """Boundaries between the kinds: width of the object along the fingers [m]."""
 ANY_CLOSURES = {
-    (True, 0): AnyClosure(0.99, 0.57, 1.09, -0.02, 1.03),
-    (True, 1): AnyClosure(0.99, 0.57, 1.09, -0.02, 1.03),
-    (True, 2): AnyClosure(0.94, 0.49, 1.08, -0.02, 1.00),
-    (False, 0): AnyClosure(1.02, 0.60, 1.07, 0.15, 0.90),
-    (False, 1): AnyClosure(0.97, 0.56, 1.07, 0.08, 1.01),
-    (False, 2): AnyClosure(1.02, 0.45, 1.07, 0.05, 0.97),
+    (True, 0): (0.99, 0.57, 1.09, -0.02, 1.03),
+    (True, 1): (0.99, 0.57, 1.09, -0.02, 1.03),
+    (True, 2): (0.94, 0.49, 1.08, -0.02, 1.00),
+    (False, 0): (1.02, 0.60, 1.07, 0.15, 0.90),
+    (False, 1): (0.97, 0.56, 1.07, 0.08, 1.01),
+    (False, 2): (1.02, 0.45, 1.07, 0.05, 0.97),
 }
-"""Closures by (hand beside the object, index of its width). Means of those random closures that
-held training objects through the shake; narrow objects beside the hand, for which too few did, have
-the next kind's."""
+"""Closures by (hand beside the object, index of its width): CMC, MP of the closed thumb, MCP of the
+closed fingers [rad]; delay of the thumb after the fingers, negative if it begins before them, and
+closing time of the fingers [s]. Means of those random closures that held training objects through
+the shake; narrow objects beside the hand, for which too few did, have the next kind's.
+"""
 
 
 class Script:
@@ -128,12 +111,12 @@ class ScriptedGraspAny(Script):
             vector = observation["deploy"] if isinstance(observation, dict) else observation
             self._closure = ANY_CLOSURES[self.kind(vector)]
         self._time += 1 / CONTROL_HZ
-        closure = self._closure
-        fingers = np.minimum(closure.fingers, HPAC.synergy_max[_FINGERS])
-        fingers *= self._share(max(-closure.thumb_later, 0.0), closure.time)
-        thumb = closure.thumb * self._share(max(closure.thumb_later, 0.0), THUMB_TIME)
-        turn = (closure.opposed - THUMB_OPPOSED) * self._share(0.0, OPPOSED_TIME)
-        action = action_from_synergy([thumb, *fingers, THUMB_OPPOSED + turn]).astype(np.float32)
+        opposed, thumb, mcp, later, time = self._closure
+        fingers = np.minimum(mcp, HPAC.synergy_max[_FINGERS])
+        fingers *= self._share(max(-later, 0.0), time)
+        thumb *= self._share(max(later, 0.0), THUMB_TIME)
+        opposed = THUMB_OPPOSED + (opposed - THUMB_OPPOSED) * self._share(0.0, OPPOSED_TIME)
+        action = action_from_synergy([thumb, *fingers, opposed]).astype(np.float32)
         return np.append(action, self._wrist)
 
     def kind(self, vector: NDArray[np.float32]) -> tuple[bool, int]:

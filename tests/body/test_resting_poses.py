@@ -11,7 +11,7 @@ from hpac_gym.physics.simulation import ENGINES, make_engine
 from tools.resting_poses import restless
 
 EVERY = [(thing, pose) for split in SPLITS for thing in object_set(split) for pose in thing.poses]
-SAMPLE = EVERY[5 :: len(EVERY) // 6][:6]
+SAMPLE = EVERY[5 :: len(EVERY) // 6][:5]
 
 
 def names(entries: list, found: list[int]) -> list[str]:
@@ -25,23 +25,20 @@ def physics(request):
     made.close()
 
 
-def test_a_few_objects_keep_still_for_two_seconds(physics):
-    assert names(SAMPLE, restless(physics, SAMPLE)) == []
-
-
 @pytest.mark.slow
 def test_every_object_keeps_still_in_every_pose_for_two_seconds(physics):
     parts = [EVERY[start : start + 6] for start in range(0, len(EVERY), 6)]
     assert [name for part in parts for name in names(part, restless(physics, part))] == []
 
 
-def test_what_is_no_pose_does_not_keep_still(physics):
+def test_a_few_objects_keep_still_for_two_seconds_and_what_is_in_no_pose_does_not(physics):
     """A bottle on its cap, tilted by 30 degrees."""
     thing = object_set("train")[0]
     upright = next(pose for pose in thing.poses if pose.size[2] > 2 * pose.width)
     turn = Rotation.from_euler("x", 30, degrees=True) * Rotation.from_quat(upright.quaternion)
     tilted = RestingPose(tuple(turn.as_quat().tolist()), upright.height, upright.size, 0.0)
-    assert restless(physics, [(thing, upright), (thing, tilted)]) == [1]
+    some = [*SAMPLE, (thing, tilted)]
+    assert names(some, restless(physics, some)) == names(some, [len(SAMPLE)])
 
 
 def test_a_pose_that_is_not_stable_is_rejected():
