@@ -219,6 +219,11 @@ def drawn_setups(types, objects: str, count: int, **more) -> list:
     return [task.setup(rng) for _ in range(count)]
 
 
+def height_of(setup) -> float:
+    """Height of the object's centre above the table [m]."""
+    return 0.25 + (setup.hand_rotation @ setup.position)[2] - setup.support.table_height
+
+
 def test_there_is_one_start_for_all_types():
     """The open hand, turned one way, the object out of reach; and the object as high above the
     table as its type has it.
@@ -228,10 +233,9 @@ def test_there_is_one_start_for_all_types():
         assert setup.hand_quaternion == HAND_QUATERNION
         start = GRASP_TYPES[setup.grasp].start
         assert np.abs(setup.position - START).max() <= max(start.position_noise)
-        height = 0.25 + (setup.hand_rotation @ setup.position)[2] - setup.support.table_height
         turn = matrix_from_quaternion(quaternion_from_rpy(start.hand_rpy))
         own = 0.25 + (turn @ start.position)[2] - start.support.table_height
-        assert abs(height - own) <= 1.8 * max(start.position_noise)
+        assert abs(height_of(setup) - own) <= 1.8 * max(start.position_noise)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -245,14 +249,9 @@ def test_an_action_puts_the_hand_where_the_type_has_it(name: str):
     action = np.append(action_from_synergy(start.preshape), choice)
     chosen = free.chosen(free.setup(np.random.default_rng(3)), action)
     placed = script.setup(np.random.default_rng(3))
-    np.testing.assert_allclose(chosen.synergy, placed.synergy, atol=1e-9)
-    np.testing.assert_allclose(chosen.position, placed.position, atol=1e-9)
-    np.testing.assert_allclose(chosen.hand_rotation, placed.hand_rotation, atol=1e-9)
-    heights = [
-        0.25 + (setup.hand_rotation @ setup.position)[2] - setup.support.table_height
-        for setup in (chosen, placed)
-    ]
-    assert abs(heights[0] - heights[1]) <= 2e-9
+    for name in ("synergy", "position", "hand_rotation"):
+        np.testing.assert_allclose(getattr(chosen, name), getattr(placed, name), atol=1e-9)
+    assert abs(height_of(chosen) - height_of(placed)) <= 2e-9
     assert (chosen.object, chosen.yaw, chosen.object_quaternion) == (
         placed.object,
         placed.yaw,
