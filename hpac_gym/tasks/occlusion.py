@@ -43,17 +43,14 @@ class Skeleton:
         rest = np.array([rotation_from_rpy(root.rpy) for root in roots])
         axes = np.array([root.axis for root in roots])
         cross = np.cross(axes[:, None], np.eye(3)).swapaxes(1, 2)
-        # The root links' x and z axes at rest, and by the sine and 1 − cosine of the angle. Worlds
-        # are the last axis of these arrays: NumPy is slow where that is short.
-        self._axes = [
-            np.moveaxis(matrix[:, :, ::2], 2, 0)[..., None]
-            for matrix in (rest, rest @ cross, rest @ cross @ cross)
-        ]
-        self._base = np.array([root.origin for root in roots])[:, None, :, None]
+        # The root links' x and z axes, each at rest and by the sine and 1 − cosine of the angle.
+        turns = rest, rest @ cross, rest @ cross @ cross
+        self._axes = [[turn[:, :, axis] for turn in turns] for axis in (0, 2)]
+        self._base = np.array([root.origin for root in roots])[:, None]
         palm = [part for solid in HPAC_GEOMETRY.palm_solids for part in _capsules(solid)]
         self._palm = np.array([[part.start for part in palm], [part.end for part in palm]])
-        self._length = np.zeros((len(digits), 3, 1, num_worlds))
-        self._end = np.zeros((len(digits), 3, 1, num_worlds))
+        self._length = np.zeros((num_worlds, len(digits), 3, 1))
+        self._end = np.zeros((num_worlds, len(digits), 3, 1))
         self.radius = np.zeros((num_worlds, 3 * len(digits) + len(palm)))
         self.radius[:, 3 * len(digits) :] = [part.radius for part in palm]
         for world in range(num_worlds):
@@ -62,8 +59,8 @@ class Skeleton:
     def fit(self, world: int, geometry: Geometry) -> None:
         """Set the links of one hand to those of a geometry with the nominal palm and joints."""
         links = [phalanx for digit in geometry.digits for phalanx in digit.phalanges]
-        self._length[..., world].flat = [link.length for link in links]
-        self._end[..., world].flat = [link.capsule.end[2] for link in links]
+        self._length[world].flat = [link.length for link in links]
+        self._end[world].flat = [link.capsule.end[2] for link in links]
         self.radius[world, : len(links)] = [link.capsule.radius for link in links]
 
     def segments(self, joint_pos: Array, worlds: NDArray[np.int_]) -> Array:
@@ -76,26 +73,20 @@ class Skeleton:
         Returns:
             shape (2, k, m, 3) [m].
         """
-        angles = joint_pos.T[self._joints]
-        root = angles[:, :1]
-        rest, by_sine, by_cosine = self._axes
-        across, ahead = rest + np.sin(root) * by_sine + (1 - np.cos(root)) * by_cosine
+        angles = joint_pos[:, self._joints]
+        root = angles[:, :, :1]
+        across, ahead = (
+            rest + np.sin(root) * by_sine + (1 - np.cos(root)) * by_cosine
+            for rest, by_sine, by_cosine in self._axes
+        )
         # The other two joints turn about the root link's y axis, so the digit stays in its plane.
-        root[:] = 0.0
-        bend = np.cumsum(angles, axis=1)[:, :, None]
-        along = np.sin(bend) * across[:, None] + np.cos(bend) * ahead[:, None]
-        links = np.cumsum(self._length[..., worlds] * along, axis=1)
-        start = np.empty_like(links)
-        start[:, :1] = self._base
-        start[:, 1:] = self._base + links[:, :-1]
-        ends = np.empty((2, len(joint_pos), self.radius.shape[1], 3))
-        for capsules, digits, palm in zip(
-            ends, (start, start + self._end[..., worlds] * along), self._palm, strict=True
-        ):
-            count = digits.shape[0] * digits.shape[1]
-            capsules[:, :count] = digits.reshape(count, 3, -1).transpose(2, 0, 1)
-            capsules[:, count:] = palm
-        return ends
+        bend = (np.cumsum(angles, axis=2) - root)[..., None]
+        along = np.sin(bend) * across[:, :, None] + np.cos(bend) * ahead[:, :, None]
+        links = self._length[worlds] * along
+        start = self._base + np.cumsum(links, axis=2) - links
+        ends = np.array([start, start + self._end[worlds] * along])
+        palm = np.broadcast_to(self._palm[:, None], (2, len(worlds), *self._palm.shape[1:]))
+        return np.concatenate([ends.reshape(2, len(worlds), -1, 3), palm], axis=2)
 
     def thumb_in_finger(self, joint_pos: Array, world: int) -> bool:
         """True if the thumb of one hand penetrates a finger at these joint angles, shape (15,)
