@@ -5,8 +5,6 @@ A grasp type has no hand shape of its own: its hand closes to the posture of the
 `hpac_gym.model.POSTURES` by Eqs. (14) and (15), without retuning, and the object is placed to fit
 that posture. `hpac_gym.tasks.grasp_rules` has the placement and the rule by which the grasp is judged."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Any
@@ -265,7 +263,7 @@ class GraspByType(Grasp):
             "missed": self.holds.missed.copy(),
         }
 
-    def script(self) -> ScriptedGraspType:
+    def script(self) -> Script:
         return ScriptedGraspType(self)
 
 

@@ -88,12 +88,12 @@ class Skeleton:
         palm = np.broadcast_to(self._palm[:, None], (2, len(worlds), *self._palm.shape[1:]))
         return np.concatenate([ends.reshape(2, len(worlds), -1, 3), palm], axis=2)
 
-    def thumb_in_finger(self, joint_pos: Array, world: int) -> bool:
-        """True if the thumb of one hand penetrates a finger at these joint angles, shape (15,)
-        [rad].
+    def thumb_in_finger(self, joint_pos: Array) -> bool:
+        """True if the thumb of the first hand penetrates a finger at these joint angles, shape
+        (15,) [rad].
         """
-        ends = self.segments(joint_pos[None], np.array([world]))[:, 0]
-        radius = self.radius[world]
+        ends = self.segments(joint_pos[None], np.array([0]))[:, 0]
+        radius = self.radius[0]
         fingers = slice(3, len(JOINTS))
         bones = np.repeat(ends[:, None, fingers], 3, axis=1)
         wide = radius[fingers] + radius[:3, None]
@@ -281,7 +281,7 @@ def in_the_way(setup: SceneSetup) -> bool:
     Judged by geometry: a digit that is wedged against a support stays about its joint's stop.
     """
     joint_pos = joints_from_synergy(setup.synergy, setup.hand)
-    if _SKELETON.thumb_in_finger(joint_pos, 0):
+    if _SKELETON.thumb_in_finger(joint_pos):
         return True
     bones = HAND_POSITION + _bones(joint_pos) @ setup.hand_rotation.T
     for box in support_boxes(setup):

@@ -1,7 +1,5 @@
 """The posture task: bring fifteen joints to a posture with six servos, for hindsight replay."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any
@@ -192,7 +190,7 @@ class Posture(Task):
         largest = np.abs(np.subtract(*self._goals, dtype=float)).max(axis=1)
         return {"is_success": largest <= self.config.tolerance, "largest_error": largest}
 
-    def script(self) -> ScriptedPosture:
+    def script(self) -> Script:
         return ScriptedPosture()
 
 
