@@ -16,7 +16,7 @@ from hpac_gym.evaluation.statistics import rate_text
 from hpac_gym.model import HPAC, SERVO_INDEX, action_from_synergy
 from hpac_gym.policies.policy import EpisodePolicy
 from hpac_gym.registration import GRASP_ANY, GRASP_TYPE
-from hpac_gym.tasks.arrival import WRIST_REACH
+from hpac_gym.tasks.placing import WRIST_REACH
 from hpac_gym.tasks.task import CONTROL_HZ
 from tools.any_closures import Player, first_winners
 

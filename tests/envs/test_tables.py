@@ -11,11 +11,11 @@ from hpac_gym.envs import make_task
 from hpac_gym.model import HPAC, servo_from_synergy
 from hpac_gym.registration import GENTLE, GRASP, GRASP_ANY, GRASP_TYPE, IDS, PICK_PLACE, POSTURE
 from hpac_gym.tasks import posture
-from hpac_gym.tasks.arrival import START, WRIST_CENTRE, WRIST_REACH, WRIST_TURN
-from hpac_gym.tasks.grasp_type_data import HELD_OUT_TYPES
+from hpac_gym.tasks.grasp_rules import HELD_OUT_TYPES
 from hpac_gym.tasks.grasp_types import LOOK_EVERY, SETTLES
 from hpac_gym.tasks.grip import MAX_SLIP
 from hpac_gym.tasks.phases import PickPlaceTimetable, Timetable
+from hpac_gym.tasks.placing import START, WRIST_CENTRE, WRIST_REACH, WRIST_TURN
 from hpac_gym.tasks.task import CONTROL_HZ
 from hpac_gym.tasks.terms import GRASP_CENTRE
 from tools.generate import DOCS, PAGES, filled
