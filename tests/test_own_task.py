@@ -165,10 +165,6 @@ def twice(name):
             "is not a time of each, in order",
         ),
         (lambda: Changed(phases=("a", "b"), ends=(2.0, 1.0)), "is not a time of each, in order"),
-        (
-            lambda: Changed(goal_terms=Posture.goal_terms),
-            "Changed has goal_terms but no measure and goal_reward: make it a subclass",
-        ),
     ],
 )
 def test_terms_that_do_not_go_together_are_refused(make, message):
@@ -357,6 +353,10 @@ class Half(Task):
     duration = 1.0
 
 
+class Goals(Grasp):
+    goal_terms = Posture.goal_terms
+
+
 @pytest.mark.parametrize(
     ("task", "steps", "error", "message"),
     [
@@ -369,7 +369,8 @@ class Half(Task):
         (Settled, 60, ParameterError, "an episode lasts 60 steps: .* register it with more than"),
         (Noisy, 70, ParameterError, "its task's 'noise' is an option of every environment"),
         (Endless, 60, ParameterError, "an episode of inf s must have .* an end"),
-        (NoTerms, None, AttributeError, "'NoTerms' object has no attribute 'reward_terms'"),
+        (NoTerms, None, ParameterError, "Wrong-v0: NoTerms has no terms, reward_terms"),
+        (Goals, None, ParameterError, "Wrong-v0: Goals has no measure, goal_reward"),
         (Half, None, TypeError, "abstract.*judge.*setup"),
         (lambda: 3, None, ParameterError, "Wrong-v0 needs a .*Task, not 3"),
     ],

@@ -41,6 +41,10 @@ def load_policy(name: str, env: gymnasium.Env[Any, Any], normalize: str | None =
         PolicyError: The name is unknown; the file is missing, damaged, or made for another
             environment.
     """
+    if not hasattr(env, "unwrapped"):
+        raise PolicyError(
+            f"policy '{name}' needs an environment, as gymnasium.make gives, not {env!r}"
+        )
     if name in BASELINES:
         baseline: Policy = BASELINES[name](env)
         return baseline

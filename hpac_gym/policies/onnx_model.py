@@ -131,6 +131,8 @@ def read_onnx(folder: Path, env: gymnasium.Env[Any, Any]) -> LearnedPolicy:
         repeat = 1 if closures else decision["control_steps"]
         if not (isinstance(repeat, int) and repeat >= 1):
             raise ValueError(f"control_steps is {repeat}, and must be a whole number of at least 1")
+        if (inputs := [entry.name for entry in session.get_inputs()]) != ["observation"]:
+            raise ValueError(f"the inputs of its model are {', '.join(inputs)}, not observation")
         ends = session.get_inputs()[0].shape[1], session.get_outputs()[0].shape[1]
         sizes = sizes_of(ends, closures, moves)
         require_fit(f"exported policy '{folder}'", described, sizes, env)
