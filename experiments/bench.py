@@ -10,14 +10,15 @@ from functools import partial
 import numpy as np
 
 from experiments.quasistatic import Built, hand_course
-from hpac_gym.calibration.protocol import Protocol, rest_pose
 from hpac_gym.calibration.record import (
     EXTENDING,
     FLEXING,
     REST,
+    Protocol,
     Sweep,
     concatenate,
     joints_of_servo,
+    rest_pose,
 )
 from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, SERVO_INDEX, SERVOS, Array
 

@@ -14,14 +14,15 @@ from experiments.bench import CAMERA, PROTOCOL, JointCamera
 from experiments.quasistatic import Built, softened
 from hpac_gym.body.geometry import link_poses, load_geometry
 from hpac_gym.calibration.processing import points
-from hpac_gym.calibration.protocol import Protocol, rest_pose
 from hpac_gym.calibration.record import (
     EXTENDING,
     FLEXING,
     REST,
+    Protocol,
     Sweep,
     concatenate,
     joints_of_servo,
+    rest_pose,
 )
 from hpac_gym.model import HPAC, JOINTS, SERVO_INDEX, SERVOS, Array, Hand
 from hpac_gym.physics.settings import HandSettings, ServoSettings, WorldSettings

@@ -11,8 +11,7 @@ from experiments.rig import Rig, upright
 from hpac_gym.body.geometry import Phalanx, link_poses, load_geometry
 from hpac_gym.bridge import HandLink, VirtualHand, servo_from_pulses
 from hpac_gym.calibration.driver import Driver
-from hpac_gym.calibration.protocol import Protocol, rest_pose
-from hpac_gym.calibration.record import Sweep, concatenate
+from hpac_gym.calibration.record import Protocol, Sweep, concatenate, rest_pose
 from hpac_gym.calibration.segment import Segment
 from hpac_gym.camera.detection import Lens, Seen, detect
 from hpac_gym.camera.sheet import CHAINS, STRIPS

@@ -16,7 +16,7 @@ from experiments.populations import NINE
 from experiments.results import Interval, Part, mean_of
 from experiments.sweep import Reference
 from hpac_gym.calibration.accuracy import EVALUATED
-from hpac_gym.calibration.protocol import THUMB_CLEAR
+from hpac_gym.calibration.record import THUMB_CLEAR
 from hpac_gym.figures import GREEN, RED, new_figure
 from hpac_gym.model import (
     HPAC,

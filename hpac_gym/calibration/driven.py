@@ -16,8 +16,7 @@ import numpy as np
 from hpac_gym.bridge import HandLink
 from hpac_gym.bridge.commands import connector
 from hpac_gym.calibration.driver import PROTOCOL, Driver, Look
-from hpac_gym.calibration.protocol import CLEARED
-from hpac_gym.calibration.record import RecordError, Sweep, read_sweep, write_sweep
+from hpac_gym.calibration.record import CLEARED, RecordError, Sweep, read_sweep, write_sweep
 from hpac_gym.calibration.segment import Segment, added, angles_in
 from hpac_gym.camera import CameraError
 from hpac_gym.camera.detection import Device, Lens, Seen, Watch, lens_of

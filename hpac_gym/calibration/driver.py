@@ -8,8 +8,7 @@ import numpy as np
 
 from hpac_gym.bridge import HandLink
 from hpac_gym.bridge.link import go, open_hand, release
-from hpac_gym.calibration.protocol import CLEARED, Protocol, rest_pose
-from hpac_gym.calibration.record import EXTENDING, FLEXING, REST
+from hpac_gym.calibration.record import CLEARED, EXTENDING, FLEXING, REST, Protocol, rest_pose
 from hpac_gym.calibration.segment import Segment
 from hpac_gym.camera.detection import Seen
 from hpac_gym.model import HPAC, SERVO_INDEX, Hand, ServoCommand, move_duration

@@ -1,11 +1,10 @@
-"""The record of a servo sweep, and its file `sweep.csv` (`docs/calibrate.md`): the same for a simulated
-hand and for a real one.
+"""The protocol of a servo sweep, its record, and the record's file `sweep.csv` (`docs/calibrate.md`):
+the same for a simulated hand and for a real one.
 """
 
 from __future__ import annotations
 
 import csv
-import io
 import os
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -14,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from hpac_gym.errors import HpacError
-from hpac_gym.model import HPAC, JOINTS, SERVOS
+from hpac_gym.model import HPAC, JOINTS, SERVO_INDEX, SERVOS, Hand
 from hpac_gym.model.checks import Array
 from hpac_gym.output import read_text, write_text
 
@@ -30,12 +29,45 @@ ANGLE_LIMIT = np.pi
 """No servo or joint of the hand turns further [rad]; a larger number is in degrees."""
 MOST_LABEL = 1e9
 """Largest number of a trial or a point (chosen)."""
+THUMB_CLEAR = 1.2
+"""CMC angle at which the thumb can flex over its whole range without touching fingers or palm
+[rad].
+"""
+CLEARED = "thumb_mp"
+"""Servo during whose sweep the thumb's CMC holds `THUMB_CLEAR`, also at rest."""
 
 
 class RecordError(HpacError, ValueError):
     """A sweep record lacks a column or contains an invalid value; the message names column and
     row.
     """
+
+
+def rest_pose(swept: str, hand: Hand = HPAC) -> Array:
+    """Initial servo angles of a sweep: open, with the thumb clear of the index if it is swept,
+    shape (6,) [rad].
+    """
+    pose = np.zeros(len(SERVOS))
+    if swept == CLEARED:
+        pose[SERVO_INDEX["thumb_cmc"]] = THUMB_CLEAR
+    return np.clip(pose, hand.servo_min, hand.servo_max)
+
+
+@dataclass(frozen=True, slots=True)
+class Protocol:
+    """Protocol of a servo sweep: rest, K points in sequence, back to rest."""
+
+    points: int = 31
+    """Number of points K over the servo's admissible range, including both ends."""
+    seconds_per_point: float = 1.5
+    hold: float = 0.5
+    """Final part of a point, in which the servo is stationary and samples count [s]."""
+    rest: float = 2.0
+    """Duration of the rest before and after, with a slack tendon and the digit against its stops
+    [s].
+    """
+    both_directions: bool = False
+    """Whether points are also taken in extension, at the same angles."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,26 +137,18 @@ def write_sweep(path: str | os.PathLike[str], sweep: Sweep) -> None:
     Raises:
         OutputError: The file cannot be written.
     """
-    text = io.StringIO()
-    text.write(HEADER + "\n")
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(COLUMNS)
+    lines = [HEADER, ",".join(COLUMNS)]
     for row in range(len(sweep)):
         labels = (
-            int(sweep.trial[row]),
+            f"{sweep.trial[row]:.0f}",
             SERVOS[sweep.swept[row]],
             PHASES[sweep.phase[row]],
-            int(sweep.point[row]),
+            f"{sweep.point[row]:.0f}",
         )
         angles = np.concatenate([sweep.servo[row], sweep.joint_pos[row]])
-        writer.writerow(
-            [
-                *labels,
-                f"{sweep.time[row]:.4f}",
-                *("" if np.isnan(x) else f"{x:.7f}" for x in angles),
-            ]
-        )
-    write_text(path, text.getvalue())
+        cells = ("" if np.isnan(angle) else f"{angle:.7f}" for angle in angles)
+        lines.append(",".join([*labels, f"{sweep.time[row]:.4f}", *cells]))
+    write_text(path, "\n".join(lines) + "\n")
 
 
 # Reading -----------------------------------------------------------------------
@@ -162,47 +186,35 @@ def _parse(lines: list[str]) -> Sweep:
     for number, cells in rows:
         if len(cells) != len(names):
             raise RecordError(f"row {number} has {len(cells)} cells, the header {len(names)}")
-    columns = {}
-    for name in COLUMNS:
-        in_degrees = name.replace("_rad", "_deg")
-        if names.count(name) == 1:
-            columns[name] = _column(
-                name, [(number, cells[names.index(name)].strip()) for number, cells in rows]
-            )
-        elif name in JOINT_COLUMNS and name not in names and in_degrees not in names:
-            columns[name] = np.full(len(rows), np.nan)
-        else:
-            degrees = (
-                f"; {in_degrees} is in degrees"
-                if in_degrees in names and in_degrees != name
-                else ""
-            )
-            raise RecordError(
-                f"column {name} is {'there twice' if name in names else f'missing{degrees}'}"
-            )
-    servo, joint_pos = (
-        np.stack([columns[name] for name in group], axis=1)
-        for group in (SERVO_COLUMNS, JOINT_COLUMNS)
-    )
-    trial, swept, phase, point, time = (columns[name] for name in (*LABELS, "time_s"))
+    trial, swept, phase, point, time, *angles = (_column(name, names, rows) for name in COLUMNS)
+    servo = np.stack(angles[: len(SERVOS)], axis=1)
+    joint_pos = np.stack(angles[len(SERVOS) :], axis=1)
     sweep = Sweep(trial, swept, phase, point, time, servo, joint_pos)
     for segment in sweep.segments():
         late = segment[1:][np.diff(sweep.time[segment]) <= 0]
         if late.size:
-            before = sweep.time[late[0] - 1]
-            now = sweep.time[late[0]]
             raise RecordError(
-                f"column time_s, row {rows[late[0]][0]}: {now:g} s does not follow {before:g} s"
+                f"column time_s, row {rows[late[0]][0]}: {sweep.time[late[0]]:g} s does not follow "
+                f"{sweep.time[late[0] - 1]:g} s"
             )
     return sweep
 
 
-def _column(name: str, cells: list[tuple[int, str]]) -> np.ndarray:
-    """Parse the cells of a column, given with their rows in the file."""
+def _column(name: str, names: list[str], rows: list[tuple[int, list[str]]]) -> np.ndarray:
+    """Parse a column, from the names of all and the cells of each row, with its number in the file."""
+    in_degrees = name.replace("_rad", "_deg")
+    if name in JOINT_COLUMNS and name not in names and in_degrees not in names:
+        return np.full(len(rows), np.nan)
+    if names.count(name) != 1:
+        degrees = f"; {in_degrees} is in degrees" if in_degrees in names else ""
+        raise RecordError(
+            f"column {name} is {'there twice' if name in names else f'missing{degrees}'}"
+        )
+    place = names.index(name)
     values = []
-    for row, cell in cells:
+    for row, cells in rows:
         try:
-            values.append(_value(name, cell))
+            values.append(_value(name, cells[place].strip()))
         except ValueError as error:
             raise RecordError(f"column {name}, row {row}: {error}") from None
     return np.array(values)

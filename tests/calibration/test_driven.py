@@ -25,11 +25,11 @@ from hpac_gym.calibration import driven
 from hpac_gym.calibration.driven import LEAST_SLACK, Eye
 from hpac_gym.calibration.driver import Driver
 from hpac_gym.calibration.judging import judged
-from hpac_gym.calibration.protocol import Protocol
 from hpac_gym.calibration.record import (
     EXTENDING,
     FLEXING,
     REST,
+    Protocol,
     RecordError,
     concatenate,
     read_sweep,

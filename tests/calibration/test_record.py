@@ -11,7 +11,6 @@ from hpac_gym.calibration.record import (
     RecordError,
     Sweep,
     concatenate,
-    joints_of_servo,
     read_sweep,
     write_sweep,
 )
@@ -92,17 +91,6 @@ def test_segments_are_what_belongs_together_in_time():
     assert [len(rows) for rows in sweep.segments()] == [30, 30, 30]
     assert [int(sweep.swept[rows[0]]) for rows in sweep.segments()] == [1, 1, 4]
     assert sweep[:0].segments() == []
-
-
-def test_joints_of_the_servos_are_all_joints_once():
-    every = [joint for servo in range(6) for joint in joints_of_servo(servo)]
-    assert sorted(every) == list(range(15))
-    assert [JOINTS[joint] for joint in joints_of_servo(4)] == [
-        "pinky_dip",
-        "pinky_pip",
-        "pinky_mcp",
-    ]
-    assert [JOINTS[joint] for joint in joints_of_servo(5)] == ["thumb_cmc"]
 
 
 CELL_FAULTS = [

@@ -25,7 +25,6 @@ from hpac_gym.calibration.accuracy import (
 )
 from hpac_gym.calibration.processing import points, processed
 from hpac_gym.calibration.record import Sweep, read_sweep, write_sweep
-from hpac_gym.errors import ParameterError
 from hpac_gym.figures import label
 from hpac_gym.model import HPAC, JOINTS, Calibration, Friction, scaled_hand
 from hpac_gym.model.settled import settled_joints_from_servo
@@ -281,19 +280,3 @@ def test_the_command_sweeps_the_reference_hand(tmp_path, capsys):
     result = json.loads((tmp_path / "sweep.json").read_text())
     assert set(result["workspace_rad"]) == set(JOINTS)
     assert len(read_sweep(tmp_path / "sweep.csv")) > len(read_sweep(tmp_path / "workspace.csv")) > 0
-
-
-@pytest.mark.parametrize(
-    ("faulty", "message"),
-    [
-        (lambda: Protocol(points=1), "points = 1 must be a whole number of at least 2"),
-        (lambda: Protocol(points=31.5), r"points = 31\.5 must be a whole number"),
-        (
-            lambda: Protocol(hold=1.5),
-            r"hold = 1\.5 s must lie between 0 s and seconds_per_point = 1\.5 s",
-        ),
-    ],
-)
-def test_a_faulty_protocol_is_told(faulty, message):
-    with pytest.raises(ParameterError, match=message):
-        faulty()
