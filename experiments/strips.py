@@ -10,7 +10,7 @@ from experiments.pictures import Piece, Pinhole
 from experiments.rig import Rig, upright
 from hpac_gym.body.geometry import Phalanx, link_poses, load_geometry
 from hpac_gym.bridge import HandLink, VirtualHand, servo_from_pulses
-from hpac_gym.calibration.driver import Driver
+from hpac_gym.calibration.driver import sweep_servo
 from hpac_gym.calibration.record import Protocol, Sweep, concatenate, rest_pose
 from hpac_gym.calibration.segment import Segment
 from hpac_gym.camera.detection import Lens, Seen, detect
@@ -165,12 +165,11 @@ def watched_sweep(
     exact = []
     segments = []
     with VirtualHand(on_pulses=body.on_pulses) as hand, HandLink(hand.connect) as link:
-        driver = Driver(link, body.look, HPAC, protocol, rate_hz)
         for servo in progress(servos, f"hand {seed}", len(servos) > 1):
             body.mount(servo)
             body.true.clear()
             segment = Segment(servo)
-            driver.sweep(segment)
+            sweep_servo(link, body.look, segment, HPAC, protocol, rate_hz)
             segment.angles_from_tags(STRIP_LENS)
             segments.append(segment)
             seen.append(segment.sweep())

@@ -5,21 +5,20 @@ Whatever happens, the hand is opened and disarmed, and what was recorded is kept
 
 import sys
 import time
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterable
+from contextlib import ExitStack, closing
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from hpac_gym.bridge import HandLink
 from hpac_gym.bridge.commands import connector
-from hpac_gym.calibration.driver import PROTOCOL, Driver, Look
+from hpac_gym.calibration.driver import PROTOCOL, sweep_servo
 from hpac_gym.calibration.record import CLEARED, RecordError, Sweep, read_sweep, write_sweep
 from hpac_gym.calibration.segment import Segment, added, angles_in
 from hpac_gym.camera import CameraError
-from hpac_gym.camera.detection import Device, Lens, Seen, Watch, lens_of
+from hpac_gym.camera.detection import Device, Seen, Watch, lens_of
 from hpac_gym.camera.sheet import STRIPS
 from hpac_gym.model import HPAC, SERVO_INDEX, SERVOS, Hand
 from hpac_gym.output import keep, writable_file, writing
@@ -50,32 +49,32 @@ known to 0.1° with 31 points, to 0.3° with 13 [rad].
 
 
 class Eye:
-    """The tags in the newest picture of a watch, each picture once.
+    """A camera before the strips, whose tags tell the angles.
+
+    Args:
+        camera: its number, or a video, and with a comma its file.
+        ask: tells a person what to do, and waits; None: nobody is asked.
 
     Raises:
-        CameraError: On a call: the last picture is older than `OLDEST`.
+        CameraError: It cannot be opened, or its file is none.
     """
 
-    def __init__(self, watch: Watch[Seen]) -> None:
-        self._watch = watch
-        self._last: Seen | None = None
+    def __init__(self, camera: str, ask: Callable[[str], object] | None = None) -> None:
+        name, self._lens = lens_of(camera)
+        self._watch = Watch(Device(name, self._lens.size), self._lens.tags)
+        self._ask = ask
+        self._last: Seen = {}
 
-    def __call__(self) -> Seen | None:
-        latest = self._watch.latest()
-        if latest is None or latest[1] > OLDEST:
-            raise CameraError(f"no picture for {OLDEST:g} s: {self._watch.fault or 'it hangs'}")
-        if latest[0] is self._last:
-            return None
-        self._last = latest[0]
-        return self._last
-
-    def wait_for(self, servo: str, patience: float = PATIENCE) -> None:
+    def begin(self, servo: str) -> None:
         """Wait until all tags of a strip are seen.
 
         Raises:
-            CameraError: Some are not, after `patience` [s].
+            CameraError: Some are not, after `PATIENCE`.
         """
-        deadline = time.monotonic() + patience
+        if self._ask is not None:
+            ids = ", ".join(f"{tag.id} {tag.label}" for tag in STRIPS[servo])
+            self._ask(f"{servo}: tags {ids}; the camera looks {SIDES[servo]}. Enter sweeps it")
+        deadline = time.monotonic() + PATIENCE
         while True:
             latest = self._watch.latest()
             seen = latest[0] if latest is not None and latest[1] < OLDEST else {}
@@ -88,29 +87,78 @@ class Eye:
                 )
             time.sleep(0.02)
 
+    def look(self) -> Seen:
+        """The tags in the newest picture; none of them, if there is no other picture since the last
+        call.
 
-def fresh(path: Path) -> Seen:
-    """See that another program writes angles now: no tags.
+        Raises:
+            CameraError: The last picture is older than `OLDEST`.
+        """
+        latest = self._watch.latest()
+        if latest is None or latest[1] > OLDEST:
+            raise CameraError(f"no picture for {OLDEST:g} s: {self._watch.fault or 'it hangs'}")
+        if latest[0] is self._last:
+            return {}
+        self._last = latest[0]
+        return self._last
 
-    Raises:
-        RecordError: The last row of its file is older than `OLDEST`; or as of `angles_in`.
-    """
-    age = time.time() - angles_in(path, TAIL)[1][-1]
-    if abs(age) > OLDEST:
-        raise RecordError(
-            f"angles {path}: its last row is {age:.4g} s old, the limit is {OLDEST:g} s: "
-            "does a program write it, and time_s as seconds since 1970?"
-        )
-    return {}
+    def measure(self, segment: Segment, hand: Hand) -> list[str]:
+        """Find a segment's angles, and return what is to be told of them.
+
+        Raises:
+            CameraError: The tags do not show them.
+        """
+        try:
+            misfit = segment.angles_from_tags(self._lens)
+        except CameraError as error:
+            raise CameraError(f"sweep of {segment.servo}: {error}") from None
+        told = [f"its tags fit to {misfit:.2f} pixels"]
+        if segment.servo == CLEARED and segment.slack(hand) < LEAST_SLACK:
+            told.append(TAUT.format(segment.servo))
+        return told
+
+    def close(self) -> None:
+        """Let the camera go."""
+        self._watch.close()
+
+
+class Tracker:
+    """Another program, which writes the joints' angles into a file; see `angles_in`."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+
+    def begin(self, servo: str) -> None:
+        """See that the program writes; raises as `look`."""
+        self.look()
+
+    def look(self) -> Seen:
+        """See that the program writes angles now: no tags.
+
+        Raises:
+            RecordError: The last row of its file is older than `OLDEST`; or as of `angles_in`.
+        """
+        age = time.time() - angles_in(self._path, TAIL)[1][-1]
+        if abs(age) > OLDEST:
+            raise RecordError(
+                f"angles {self._path}: its last row is {age:.4g} s old, the limit is {OLDEST:g} s: "
+                "does a program write it, and time_s as seconds since 1970?"
+            )
+        return {}
+
+    def measure(self, segment: Segment, hand: Hand) -> list[str]:
+        """Find a segment's angles; there is nothing to be told of them."""
+        segment.angles_from_file(self._path)
+        return []
 
 
 def record(
     port: str,
     path: Path,
     *,
-    camera: str | None = None,
+    camera: str = "0",
     angles: Path | None = None,
-    servos: Sequence[str] = SERVOS,
+    servos: Iterable[str] = SERVOS,
     trial: int = 0,
     points: int | None = None,
     hand: Hand = HPAC,
@@ -122,61 +170,39 @@ def record(
         port: as of every command.
         path: the record; what it has stays, but for servos of this trial that are swept to the end:
             then the file is kept as `NAME-1`, or the next free number.
-        camera: number of a camera, or a video, and with a comma its file.
-        angles: file that another program writes meanwhile, see `angles_in`.
+        camera: measures the angles, as of `Eye`.
+        angles: file that another program writes meanwhile, instead of a camera.
         servos: servos to sweep.
         trial: number of the repetition.
         points: sampling points of a servo; None: as many as `PROTOCOL` has.
         hand: the hand.
-        ask: tells a person what to do, and waits; None: nobody is asked.
+        ask: as of `Eye`.
 
     Raises:
         CameraError, BridgeError, RecordError, OutputError: See there.
     """
     writable_file(path)
-    swept: set[int] = set()
-    if path.exists():
-        before = read_sweep(path)
-        swept.update(before.swept[before.trial == trial].tolist())
+    whole = read_sweep(path) if path.exists() else None
+    again = set() if whole is None else set(whole.swept[whole.trial == trial].tolist())
+    protocol = replace(PROTOCOL, points=points or PROTOCOL.points)
     with ExitStack() as stack:
-        look: Look = dict if angles is None else partial(fresh, angles)
-        lens = Lens()
-        if camera is not None:
-            name, lens = lens_of(camera)
-            watch = Watch(Device(name, lens.size), lens.tags)
-            stack.callback(watch.close)
-            look = Eye(watch)
+        source: Eye | Tracker = (
+            stack.enter_context(closing(Eye(camera, ask))) if angles is None else Tracker(angles)
+        )
         link = stack.enter_context(HandLink(connector(port, stack, hand), hand=hand))
-        protocol = replace(PROTOCOL, points=points or PROTOCOL.points)
-        driver = Driver(link, look, hand, protocol)
         for servo in dict.fromkeys(servos):
-            ids = ", ".join(f"{tag.id} {tag.label}" for tag in STRIPS[servo])
-            if ask is not None and camera is not None:
-                ask(f"{servo}: tags {ids}; the camera looks {SIDES[servo]}. Enter sweeps it")
-            if isinstance(look, Eye):
-                look.wait_for(servo)
-            else:
-                look()
+            source.begin(servo)
             words = f"sweep of {servo}, recorded when complete; Ctrl-C opens the hand"
             print(words, file=sys.stderr, flush=True)
             segment = Segment(servo, trial)
-            driver.sweep(segment)
-            if angles is not None:
-                segment.angles_from_file(angles)
-            if isinstance(look, Eye):
-                try:
-                    misfit = segment.angles_from_tags(lens)
-                except CameraError as error:
-                    raise CameraError(f"sweep of {servo}: {error}") from None
-            grown = added(path, segment)
-            if SERVO_INDEX[servo] in swept:
-                swept.clear()  # the others of this run are added to the same file
+            sweep_servo(link, source.look, segment, hand, protocol)
+            told = source.measure(segment, hand)
+            whole = added(whole, segment)
+            if SERVO_INDEX[servo] in again:
+                again.clear()  # the others of this run are added to the same file
                 with writing(path):
                     keep(path)
-            write_sweep(path, grown)
-            print(f"recorded: {servo} in {path}", file=sys.stderr, flush=True)
-            if isinstance(look, Eye):
-                print(f"its tags fit to {misfit:.2f} pixels", file=sys.stderr, flush=True)
-                if servo == CLEARED and segment.slack(hand) < LEAST_SLACK:
-                    print(TAUT.format(servo), file=sys.stderr, flush=True)
+            write_sweep(path, whole)
+            for line in (f"recorded: {servo} in {path}", *told):
+                print(line, file=sys.stderr, flush=True)
     return read_sweep(path)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from hpac_gym.calibration.judging import point_medians
 from hpac_gym.calibration.record import (
     FLEXING,
     JOINT_COLUMNS,
@@ -16,7 +17,6 @@ from hpac_gym.calibration.record import (
     Sweep,
     concatenate,
     joints_of_servo,
-    read_sweep,
 )
 from hpac_gym.camera.angles import turns
 from hpac_gym.camera.detection import Lens, Seen
@@ -111,18 +111,15 @@ class Segment:
         record = self.sweep()
         held = (record.phase == FLEXING) & (record.point >= 0)
         held &= ~np.isnan(record.joint_pos[:, joint])
-        means = [
-            (record.servo[rows, swept].mean(), np.median(record.joint_pos[rows, joint]))
-            for rows in (held & (record.point == point) for point in np.unique(record.point[held]))
-        ]
-        flexed = [mean for mean in means if mean[1] > FLEXED]
+        servo, medians, _ = point_medians(record, np.flatnonzero(held))
+        flexed = np.flatnonzero(medians[:, joint] > FLEXED)[:2]
         if len(flexed) < 2:
             return np.inf
-        (first, second), seen = np.transpose(flexed[:2])
+        first, second = servo[flexed, swept]
         course = np.zeros((200, len(SERVOS)))
         course[:, swept] = np.linspace(hand.servo_min[swept], hand.servo_max[swept], len(course))
         angles = elastic_joints_from_servo(course, hand)[:, joint]
-        near, far = np.interp(seen, angles, course[:, swept])
+        near, far = np.interp(medians[flexed, joint], angles, course[:, swept])
         return float(first - near * (second - first) / (far - near))
 
 
@@ -163,21 +160,10 @@ def angles_in(path: Path, last: int = sys.maxsize) -> tuple[list[str], Array, Ar
     return names, at, angles
 
 
-def added(path: Path, segment: Segment) -> Sweep:
-    """The record of a segment, and of the others in a file; it stands where the file has its like.
-
-    Raises:
-        RecordError: The file is no record.
-    """
-    parts: list[Sweep] = []
-    place = 0
-    if path.exists():
-        before = read_sweep(path)
-        for rows in before.segments():
-            key = int(before.trial[rows[0]]), int(before.swept[rows[0]])
-            if key == (segment.trial, SERVO_INDEX[segment.servo]):
-                place = len(parts)
-            else:
-                parts.append(before[rows])
-    parts.insert(place, segment.sweep())
-    return concatenate(parts)
+def added(record: Sweep | None, segment: Segment) -> Sweep:
+    """A record with a segment, which stands where the record has its like, otherwise first."""
+    if record is None:
+        return segment.sweep()
+    like = (record.trial == segment.trial) & (record.swept == SERVO_INDEX[segment.servo])
+    place = int(like.argmax())
+    return concatenate([record[:place], segment.sweep(), record[place:][~like[place:]]])
