@@ -92,7 +92,7 @@ class DigitFit:
 
 @dataclass(frozen=True, slots=True)
 class Prior:
-    """Prior of the combinations: normal, in the logarithm of each or in the number itself."""
+    """Prior of the unknowns, normal: the logarithm of each combination or the number itself, then drifts."""
 
     known: tuple[Combination, ...]
     linear: np.ndarray
@@ -127,9 +127,21 @@ class Prior:
         upper[tendon] = min(upper[tendon], np.log(0.5))
         return cls(known, linear, centre, sigma, lower, upper)
 
+    def with_drifts(self, count: int, sigma: float) -> Prior:
+        """The same with further unknowns about 0, which have no bounds."""
+        unbounded = np.full(count, np.inf)
+        return replace(
+            self,
+            centre=np.append(self.centre, np.zeros(count)),
+            sigma=np.append(self.sigma, np.full(count, sigma)),
+            lower=np.append(self.lower, -unbounded),
+            upper=np.append(self.upper, unbounded),
+        )
+
     def values(self, unknowns: Array) -> Array:
-        """Values of the combinations for given unknowns."""
-        return np.where(self.linear, unknowns, np.exp(np.where(self.linear, 0.0, unknowns)))
+        """Values of the combinations for given unknowns, of which they are the first."""
+        numbers = unknowns[..., : len(self.known)]
+        return np.where(self.linear, numbers, np.exp(np.where(self.linear, 0.0, numbers)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,54 +155,33 @@ class _Problem:
     prior: Prior
 
     @property
-    def drifts(self) -> int:
-        """Number of the unknowns of the drift."""
-        return int(self.samples.line.shape[1] * self.samples.joint_pos.shape[1])
-
-    @property
     def seen(self) -> np.ndarray:
         return ~np.isnan(self.samples.joint_pos)
 
     def misfit(self, unknowns: Array) -> Array:
         """Measured minus predicted angles of the measured points [rad]."""
-        numbers, drift = np.split(unknowns, [len(self.prior.centre)])
-        angles = predicted(self.samples, digit_with(self.base, self.prior.values(numbers)))
-        missed = (
-            self.samples.joint_pos
-            - angles
-            - self.samples.line @ drift.reshape(self.samples.line.shape[1], -1)
-        )
+        angles = predicted(self.samples, digit_with(self.base, self.prior.values(unknowns)))
+        line = self.samples.line
+        drift = unknowns[len(self.prior.known) :].reshape(line.shape[1], -1)
+        missed = self.samples.joint_pos - angles - line @ drift
         return np.asarray(missed[self.seen])
 
     def rows(self, unknowns: Array, scale: float) -> Array:
         """Misfit and prior, each divided by its standard deviation."""
-        numbers, drift = np.split(unknowns, [len(self.prior.centre)])
         return np.concatenate(
             [
                 self.misfit(unknowns) / (scale * self.samples.deviation[self.seen]),
-                (numbers - self.prior.centre) / self.prior.sigma,
-                drift / np.nanmax(self.samples.noise),
+                (unknowns - self.prior.centre) / self.prior.sigma,
             ]
         )
-
-    @property
-    def bounds(self) -> tuple[Array, Array]:
-        free = np.full(self.drifts, np.inf)
-        return np.append(self.prior.lower, -free), np.append(self.prior.upper, free)
-
-    @property
-    def unit(self) -> Array:
-        """A typical size of every unknown."""
-        noise = float(np.nanmax(self.samples.noise))
-        return np.append(self.prior.sigma, np.full(self.drifts, noise))
 
     def solve(self, start: Array, scale: float) -> optimize.OptimizeResult:
         return optimize.least_squares(
             self.rows,
             start,
             args=(scale,),
-            bounds=self.bounds,
-            x_scale=self.unit,
+            bounds=(self.prior.lower, self.prior.upper),
+            x_scale=self.prior.sigma,
             loss=lambda squares: soft_beyond_outliers(squares, int(self.seen.sum())),
             method="trf",
             ftol=1e-6,
@@ -207,11 +198,10 @@ class _Problem:
         rng = np.random.default_rng(0)
         solution: Array = self.solve(start, scale).x
         fitted = self.rows(solution, scale)
-        unit = self.unit
-        low, high = self.bounds
+        prior = self.prior
 
         def within(steps: Array) -> Array:
-            return np.clip(solution + unit * steps, low, high)
+            return np.clip(solution + prior.sigma * steps, prior.lower, prior.upper)
 
         across, along = np.linalg.qr(
             optimize.approx_fprime(solution, lambda unknowns: self.rows(unknowns, scale), 1e-6)
@@ -226,11 +216,11 @@ class _Problem:
             steps = optimize.root(
                 missed,
                 np.zeros(len(solution)),
-                jac=lambda _: along * unit,
+                jac=lambda _: along * prior.sigma,
                 options={"xtol": 1e-3, "factor": 1.0},
             ).x
-            drawn.append(within(steps)[: len(self.prior.centre)])
-        return self.prior.values(np.reshape(drawn, (count, len(self.prior.centre))))
+            drawn.append(within(steps))
+        return prior.values(np.reshape(drawn, (count, -1)))
 
 
 def predicted(samples: DigitSamples, swept: SweptDigit) -> Array:
@@ -268,23 +258,23 @@ def fit_digit(
         RecordError: No digit of this kind makes such points, whatever its numbers.
     """
     fitted = samples.only(~held_out_rows(samples)) if hold_out else samples
-    problem = _Problem(fitted, base, prior)
-    count = len(prior.centre)
-    start = np.concatenate([prior.centre, np.zeros(problem.drifts)])
-    first = problem.solve(start, 1.0).x
+    drifts = fitted.line.shape[1] * fitted.joint_pos.shape[1]
+    problem = _Problem(fitted, base, prior.with_drifts(drifts, float(np.nanmax(fitted.noise))))
+    first = problem.solve(problem.prior.centre, 1.0).x
     scale = max(robust_deviation(problem.misfit(first) / fitted.deviation[problem.seen]), 1.0)
     result = problem.solve(first, scale)
     _check_fit(base.name, problem.misfit(result.x))
-    solution = result.x[:count]
+    count = len(prior.known)
     covariance = np.linalg.inv(result.jac.T @ result.jac)[:count, :count]
-    swept = digit_with(base, prior.values(solution))
+    swept = digit_with(base, prior.values(result.x))
     drawn = np.empty((0, count))
     if draws:
-        drive = [item.name == "drive_stretch" for item in prior.known]
-        sigma = np.where(drive, DRAWN_DRIVE_SPREAD * prior.centre, prior.sigma)
-        stiff = replace(problem, prior=replace(prior, sigma=sigma))
+        sigma = problem.prior.sigma.copy()
+        drive = [item.name for item in prior.known].index("drive_stretch")
+        sigma[drive] = DRAWN_DRIVE_SPREAD * prior.centre[drive]
+        stiff = replace(problem, prior=replace(problem.prior, sigma=sigma))
         drawn = stiff.draws(result.x, scale, draws)
-    return DigitFit(swept, _estimates(prior, solution, covariance), samples, scale, drawn)
+    return DigitFit(swept, _estimates(prior, result.x[:count], covariance), samples, scale, drawn)
 
 
 def _check_fit(name: str, misfit: Array) -> None:
