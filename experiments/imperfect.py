@@ -9,12 +9,11 @@ import numpy as np
 
 from experiments.imperfect_hands import SEED, ImperfectHand, Session, swept
 from experiments.results import Column, Interval, add_out, range_of, rows_of, table, write_results
-from hpac_gym.calibration.doubts import doubts
-from hpac_gym.calibration.file_errors import BOUND, check_errors, expected_worst_deg, file_errors
 from hpac_gym.calibration.fitting import IdentificationError
-from hpac_gym.calibration.identification import identify
+from hpac_gym.calibration.identification import doubts, identify
 from hpac_gym.calibration.judging import judged
 from hpac_gym.calibration.record import RecordError
+from hpac_gym.calibration.report import BOUND, check_errors, expected_worst_deg, file_errors
 from hpac_gym.command import command_parser, run, whole_number
 from hpac_gym.evaluation.statistics import wilson_interval
 from hpac_gym.model import HPAC, JOINT_INDEX, SERVOS, Array, Hand

@@ -19,9 +19,9 @@ from experiments.quasistatic import Built
 from experiments.results import add_out, write_results
 from experiments.rig import rig_of
 from experiments.strips import PROTOCOL, RATE_HZ, TOOTH, watched_sweep
-from hpac_gym.calibration.file_errors import check_errors
 from hpac_gym.calibration.identification import identify
 from hpac_gym.calibration.judging import judged
+from hpac_gym.calibration.report import check_errors
 from hpac_gym.camera import CameraError
 from hpac_gym.camera.detection import Lens, detect
 from hpac_gym.camera.poses import object_place

@@ -10,18 +10,23 @@ from pathlib import Path
 
 import numpy as np
 
-from hpac_gym.calibration.doubts import doubts
-from hpac_gym.calibration.file_errors import check_errors, contradictions, file_errors
-from hpac_gym.calibration.identification import SPREAD, Identification, identify
+from hpac_gym.calibration.identification import SPREAD, Identification, doubts, identify
 from hpac_gym.calibration.judging import judged
 from hpac_gym.calibration.posterior import DRAWS, draws_text, report_folder
 from hpac_gym.calibration.record import RecordError, read_sweep
-from hpac_gym.calibration.report import fit_figure, report, summary
+from hpac_gym.calibration.report import (
+    check_errors,
+    contradictions,
+    file_errors,
+    fit_figure,
+    report,
+    summary,
+)
 from hpac_gym.calibration.samples import HELD_OUT_EVERY
 from hpac_gym.figures import require, save
 from hpac_gym.model import Hand, hand_to_toml, load_hand
 from hpac_gym.model.files import hand_from_toml
-from hpac_gym.output import OutputError, replacing, writable_file, writable_folder
+from hpac_gym.output import OutputError, replacing, writable_file
 
 OUT = Path("runs/calibrate/hand.toml")
 _IDENTIFIED = (
@@ -105,8 +110,6 @@ def run(arguments: argparse.Namespace) -> int:
             )
     writable_file(arguments.out)
     folder = report_folder(arguments.out)
-    if folder.exists():
-        writable_folder(folder)
     identified = identify(
         record, base, arguments.spread, arguments.radii_known, True, shown=True, draws=DRAWS
     )
