@@ -367,7 +367,7 @@ SPOILED = {
     wobbling: ("does a tendon slip, or a camera wobble?",),
     wobbling_widely: ("index: the model misses the points by", "more than 1°; does a tendon slip"),
     wobbling_cmc: ("thumb_cmc: the model misses the points by",),
-    one_number: ("column point numbers 1 points while servo thumb_mp moves",),
+    one_number: ("has each place no number of its own?",),
 }
 REFUSED = (later, wobbling, wobbling_widely, wobbling_cmc, one_number)
 
