@@ -5,16 +5,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments.bench import JointCamera, metal_sweeps
+from experiments.bench import JointCamera, Protocol, metal_sweeps
 from experiments.hidden import LAWS, hidden_hands
 from experiments.populations import Workshop, build
 from experiments.quasistatic import Built
 from hpac_gym.calibration.record import Sweep
+from hpac_gym.model import SERVOS
 
 
 def without_stops(built: Built) -> Built:
     """The same hand with no stops."""
     return Built(built.hand, tuple(replace(item, stop=()) for item in built.metal))
+
+
+def of_servos(record: Sweep, *names: str) -> Sweep:
+    """The sweeps of some servos."""
+    return record[np.isin(record.swept, [SERVOS.index(name) for name in names])]
 
 
 @pytest.fixture(scope="session")
@@ -43,3 +49,10 @@ def nominal_record() -> Sweep:
 def second(hidden: Built) -> Sweep:
     """Another record of the hidden hand."""
     return metal_sweeps([hidden], 2)[0]
+
+
+@pytest.fixture(scope="session")
+def both_ways(hidden: Built) -> Sweep:
+    """Its index with points in both directions."""
+    protocol = Protocol(both_directions=True)
+    return metal_sweeps([hidden], 1, protocol=protocol, servos=("index_mcp",))[0]

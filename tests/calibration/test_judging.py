@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from experiments import labels
-from experiments.bench import Protocol, metal_sweeps
 from hpac_gym.calibration import calibrate, sweep
 from hpac_gym.calibration.judging import judged, lag_behind
 from hpac_gym.calibration.record import REST, RecordError, Sweep, write_sweep
@@ -165,44 +164,39 @@ def test_exchanged_mcp_and_dip_cannot_be_told_from_flexion_alone_and_that_is_sai
     assert "a record that also has frames of the digit's return tells which" in remark
 
 
-@pytest.fixture(scope="module")
-def both_ways(hidden) -> Sweep:
-    """The index of a hidden hand with friction, with points in both directions and 3 % outliers."""
-    return garbage(
-        metal_sweeps([hidden], 1, protocol=Protocol(both_directions=True), servos=("index_mcp",))[
-            0
-        ],
-        0.03,
-    )
+@pytest.fixture
+def spotted(both_ways) -> Sweep:
+    """The index with friction, with points in both directions and 3 % outliers."""
+    return garbage(both_ways, 0.03)
 
 
-def test_in_both_directions_the_joint_that_the_tendon_pulls_moves_first(both_ways):
+def test_in_both_directions_the_joint_that_the_tendon_pulls_moves_first(spotted):
     """Exchanged MCP and DIP are refused and the right labels are taken; where nothing lags, neither
     is certain.
     """
-    assert not judged(both_ways, HPAC)
+    assert not judged(spotted, HPAC)
     with pytest.raises(
         RecordError,
         match=r"index_mcp, which the tendon pulls, lags behind index_dip by 0\.\d\d ± 0\.\d\d°",
     ):
-        judged(exchanged(both_ways, "index_mcp", "index_dip"), HPAC)
+        judged(exchanged(spotted, "index_mcp", "index_dip"), HPAC)
     mcp = JOINT_INDEX["index_mcp"]
     dip = JOINT_INDEX["index_dip"]
-    flexion = both_ways[both_ways.phase != 2]
+    flexion = spotted[spotted.phase != 2]
     assert lag_behind(flexion, mcp, dip) == (0.0, np.inf)
-    free = 0.98 * both_ways.joint_pos[:, mcp] + np.random.default_rng(0).normal(
-        0.0, 2e-3, len(both_ways)
+    free = 0.98 * spotted.joint_pos[:, mcp] + np.random.default_rng(0).normal(
+        0.0, 2e-3, len(spotted)
     )
-    lag, error = lag_behind(with_joint(both_ways, "index_dip", free), mcp, dip)
+    lag, error = lag_behind(with_joint(spotted, "index_dip", free), mcp, dip)
     assert abs(lag) < 4 * error < 1e-3
 
 
-def test_frames_in_motion_are_judged_where_there_are_any(both_ways):
+def test_frames_in_motion_are_judged_where_there_are_any(spotted):
     """A DIP that overshoots where the servo stops looks as if it led there; in motion it lags."""
-    held = np.arange(len(both_ways)) % 2 == 0
-    overshoot = np.deg2rad(0.5) * np.array([0, 1, -1])[both_ways.phase] * held
+    held = np.arange(len(spotted)) % 2 == 0
+    overshoot = np.deg2rad(0.5) * np.array([0, 1, -1])[spotted.phase] * held
     stopping = with_joint(
-        both_ways, "index_dip", both_ways.joint_pos[:, JOINT_INDEX["index_dip"]] + overshoot
+        spotted, "index_dip", spotted.joint_pos[:, JOINT_INDEX["index_dip"]] + overshoot
     )
     with pytest.raises(RecordError, match="lags behind"):
         judged(stopping, HPAC)

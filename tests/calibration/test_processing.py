@@ -85,13 +85,6 @@ def test_a_straight_drift_is_taken_out_by_the_rest_poses():
     assert (corrected[:, [0, 1, 14]] == 0).all()
 
 
-def test_drift_correction_sees_nothing_but_the_rest_poses():
-    sweep = record(smooth_sweep() + 0.01)
-    bent = sweep.with_joint_pos(sweep.joint_pos + 0.3 * (sweep.phase == 1)[:, None])
-    shift = without_drift(bent).joint_pos - without_drift(sweep).joint_pos
-    assert shift[sweep.phase == 1] == pytest.approx(0.3, abs=1e-12)
-
-
 def test_rest_at_one_end_takes_an_offset_and_no_rest_takes_nothing():
     sweep = record(smooth_sweep() + 0.01)
     first = sweep[slice(0, 440)]
