@@ -17,7 +17,7 @@ from experiments.pictures import Pinhole
 from hpac_gym.camera import CameraError
 from hpac_gym.camera.detection import FIELD_OF_VIEW_DEG, HD, Lens, Watch, detect
 from hpac_gym.camera.poses import board_place, object_place
-from hpac_gym.camera.sheet import HAND, OBJECT
+from hpac_gym.camera.sheet import OBJECT
 from hpac_gym.deploy import poses
 from hpac_gym.deploy.commands import object_of
 from hpac_gym.deploy.errors import PoseError
@@ -168,10 +168,3 @@ def test_deploy_takes_the_pose_from_a_camera(tmp_path, capsys, monkeypatch):
     for name in ("no_such.avi", "99999999999"):
         assert hpac.main([*words, "--pose", f"camera:{name}"]) == 2
         assert f"camera {name} cannot be opened" in capsys.readouterr().err
-
-
-def test_the_hand_s_board_alone_gives_no_pose():
-    seen = {id: corners for id, corners in detect(scene(0)[0]).items() if id > 3}
-    board_place(seen, HAND, watched.TRUE)
-    with pytest.raises(CameraError, match="0 of the 4 tags of the object's board"):
-        object_place(seen, watched.TRUE, watched.TOP)
