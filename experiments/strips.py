@@ -10,9 +10,8 @@ from experiments.pictures import Piece, Pinhole
 from experiments.rig import Rig, upright
 from hpac_gym.body.geometry import Phalanx, link_poses, load_geometry
 from hpac_gym.bridge import HandLink, VirtualHand, servo_from_pulses
-from hpac_gym.calibration.driver import sweep_servo
+from hpac_gym.calibration.driver import Segment, sweep_servo
 from hpac_gym.calibration.record import Protocol, Sweep, concatenate, rest_pose
-from hpac_gym.calibration.segment import Segment
 from hpac_gym.camera.detection import Lens, Seen, detect
 from hpac_gym.camera.sheet import CHAINS, STRIPS
 from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, SERVO_INDEX, SERVOS, Array

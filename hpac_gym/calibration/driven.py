@@ -3,6 +3,7 @@ both directions, and watched: by a camera that sees the tags of ``hpac tags``, o
 
 Whatever happens, the hand is opened and disarmed, and what was recorded is kept."""
 
+import csv
 import sys
 import time
 from collections.abc import Callable, Iterable
@@ -14,15 +15,26 @@ import numpy as np
 
 from hpac_gym.bridge import HandLink
 from hpac_gym.bridge.commands import connector
-from hpac_gym.calibration.driver import PROTOCOL, sweep_servo
-from hpac_gym.calibration.record import CLEARED, RecordError, Sweep, read_sweep, write_sweep
-from hpac_gym.calibration.segment import Segment, added, angles_in
+from hpac_gym.calibration.driver import PROTOCOL, Segment, sweep_servo
+from hpac_gym.calibration.record import (
+    CLEARED,
+    JOINT_COLUMNS,
+    RecordError,
+    Sweep,
+    concatenate,
+    joints_of_servo,
+    read_sweep,
+    write_sweep,
+)
 from hpac_gym.camera import CameraError
 from hpac_gym.camera.detection import Device, Seen, Watch, lens_of
 from hpac_gym.camera.sheet import STRIPS
-from hpac_gym.model import HPAC, SERVO_INDEX, SERVOS, Hand
+from hpac_gym.model import HPAC, JOINTS, SERVO_INDEX, SERVOS, Hand
+from hpac_gym.model.checks import Array
 from hpac_gym.output import keep, writable_file, writing
 
+APART = 0.1
+"""Longest time between an angle of another program and the sample that takes it [s]."""
 OLDEST = 1.0
 """Age of the last picture, or row of angles, at which a sweep is given up [s]."""
 TAIL = 1 << 14
@@ -147,9 +159,75 @@ class Tracker:
         return {}
 
     def measure(self, segment: Segment, hand: Hand) -> list[str]:
-        """Find a segment's angles; there is nothing to be told of them."""
-        segment.angles_from_file(self._path)
+        """Find a segment's angles by the time of the day; there is nothing to be told of them.
+
+        Raises:
+            RecordError: As of `angles_in`; or the file has none of the swept joints.
+        """
+        names, at, angles = angles_in(self._path)
+        wanted = np.array(segment.unix)
+        joint_pos = np.full((len(wanted), len(JOINTS)), np.nan)
+        for column, name in enumerate(names):
+            known = ~np.isnan(angles[:, column])
+            if not known.any():
+                continue
+            times = at[known]
+            place = np.interp(wanted, times, np.arange(len(times)))
+            near = np.abs(times[np.rint(place).astype(int)] - wanted) <= APART
+            angle = np.interp(wanted, times, angles[known, column])
+            joint_pos[:, JOINT_COLUMNS.index(name)] = np.where(near, angle, np.nan)
+        if np.isnan(joint_pos[:, joints_of_servo(SERVO_INDEX[segment.servo])]).all():
+            raise RecordError(
+                f"angles {self._path}: none of the joints of {segment.servo} within {APART:g} s of a sample"
+            )
+        segment.joint_pos = joint_pos
         return []
+
+
+def angles_in(path: Path, last: int = sys.maxsize) -> tuple[list[str], Array, Array]:
+    """The columns of joints, the times since 1970, shape (n,) [s], and the angles, shape (n, columns)
+    [rad], that another program writes, and its last line perhaps still.
+
+    Args:
+        path: a CSV file with the columns ``time_s`` and any of ``joint_{name}_rad``.
+        last: take only the rows within so many bytes at its end.
+
+    Raises:
+        RecordError: The file cannot be read, or has no such columns or rows, or a time goes back.
+    """
+    try:
+        with path.open("rb") as file:
+            head = file.readline()
+            file.seek(max(len(head), 1, file.seek(0, 2) - last) - 1)
+            file.readline()
+            lines = (head + file.read()).decode("utf-8-sig").splitlines(keepends=True)
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "not UTF-8 text"
+        raise RecordError(f"angles {path}: {reason}") from None
+    try:
+        rows = list(csv.DictReader(line for line in lines if line.endswith("\n")))
+        names = [name for name in JOINT_COLUMNS if rows and name in rows[0]]
+        if not names or "time_s" not in rows[0]:
+            raise ValueError(f"no rows with time_s and any of {', '.join(JOINT_COLUMNS[:2])} …")
+        at = np.array([float(row["time_s"]) for row in rows])
+        angles = np.array([[float(row[name] or "nan") for name in names] for row in rows])
+        if (
+            not (np.isfinite(at).all() and (np.diff(at) > 0).all())
+            or np.nanmax(np.abs(angles), initial=0.0) > np.pi
+        ):
+            raise ValueError("times must increase, and angles lie within ±π rad")
+    except (csv.Error, TypeError, ValueError) as error:
+        raise RecordError(f"angles {path}: {error}") from None
+    return names, at, angles
+
+
+def added(record: Sweep | None, segment: Segment) -> Sweep:
+    """A record with a segment, which stands where the record has its like, otherwise first."""
+    if record is None:
+        return segment.sweep()
+    like = (record.trial == segment.trial) & (record.swept == SERVO_INDEX[segment.servo])
+    place = int(like.argmax())
+    return concatenate([record[:place], segment.sweep(), record[place:][~like[place:]]])
 
 
 def record(

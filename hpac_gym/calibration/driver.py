@@ -1,17 +1,41 @@
-"""Sweeps the servos of a connected hand, one at a time in both directions, at the hand's own pace."""
+"""Sweeps one servo of a connected hand in both directions, at the hand's own pace, and keeps the samples,
+to which a camera or another program gives angles.
+"""
 
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from hpac_gym.bridge import HandLink
 from hpac_gym.bridge.link import go, open_hand, release
-from hpac_gym.calibration.record import CLEARED, EXTENDING, FLEXING, REST, Protocol, rest_pose
-from hpac_gym.calibration.segment import Segment
-from hpac_gym.camera.detection import Seen
-from hpac_gym.model import HPAC, SERVO_INDEX, Hand, ServoCommand, move_duration
+from hpac_gym.calibration.judging import point_medians
+from hpac_gym.calibration.record import (
+    CLEARED,
+    EXTENDING,
+    FLEXING,
+    REST,
+    Protocol,
+    Sweep,
+    rest_pose,
+)
+from hpac_gym.camera.angles import turns
+from hpac_gym.camera.detection import Lens, Seen
+from hpac_gym.camera.sheet import CHAINS, STRIPS
+from hpac_gym.model import (
+    HPAC,
+    JOINT_INDEX,
+    JOINTS,
+    SERVO_INDEX,
+    SERVOS,
+    Hand,
+    ServoCommand,
+    elastic_joints_from_servo,
+    move_duration,
+)
+from hpac_gym.model.checks import Array
 
 PROTOCOL = Protocol(both_directions=True)
 RATE_HZ = 20.0
@@ -22,8 +46,79 @@ SETTLED = 0.2
 """Part of a hold that does not count: the digit comes to rest, and pictures are a little old [s]."""
 OUT_OF_SIGHT = {"middle_mcp": "index_mcp", "ring_mcp": "pinky_mcp"}
 """Finger that is flexed all the while, since it would hide the tags of the swept one."""
+FLEXED = 0.05
+"""Least angle of a joint that has surely begun to flex (chosen) [rad]."""
 Look = Callable[[], Seen]
 """The tags in the newest picture; none of them, if there is no picture since the last call."""
+
+
+@dataclass(slots=True)
+class Segment:
+    """The samples of one sweep of one servo, as they come."""
+
+    servo: str
+    trial: int = 0
+    labels: list[tuple[int, int]] = field(default_factory=list)
+    """Phase and point."""
+    time: list[float] = field(default_factory=list)
+    """[s]; it stands still while the hand is armed."""
+    unix: list[float] = field(default_factory=list)
+    """Time of the day of each sample, since 1970 [s]."""
+    commanded: list[Array] = field(default_factory=list)
+    seen: list[Seen] = field(default_factory=list)
+    joint_pos: Array | None = None
+    """Shape (samples, 15) [rad]; None: not known yet."""
+
+    def sweep(self) -> Sweep:
+        """The record; angles that are not known are empty."""
+        count = len(self.time)
+        phase, point = np.array(self.labels, dtype=int).reshape(-1, 2).T
+        unknown = np.full((count, len(JOINTS)), np.nan)
+        return Sweep(
+            np.full(count, self.trial),
+            np.full(count, SERVO_INDEX[self.servo]),
+            phase,
+            point,
+            np.array(self.time),
+            np.array(self.commanded).reshape(-1, len(SERVOS)),
+            unknown if self.joint_pos is None else self.joint_pos,
+        )
+
+    def angles_from_tags(self, lens: Lens) -> float:
+        """Find the joint angles, and return the misfit of the tags [pixels].
+
+        Raises:
+            CameraError: As of `turns`.
+        """
+        # Only before the sweep is the digit surely at its stops: friction may hold it back afterwards.
+        at_rest = np.logical_and.accumulate([phase == REST for phase, _ in self.labels])
+        angles, misfit = turns(self.seen, STRIPS[self.servo], lens, at_rest)
+        self.joint_pos = np.full((len(self.time), len(JOINTS)), np.nan)
+        self.joint_pos[:, [JOINT_INDEX[name] for name in CHAINS[self.servo][1:]]] = angles
+        return misfit
+
+    def slack(self, hand: Hand) -> float:
+        """Servo angle at which the swept joint begins to flex, extrapolated from the first two points
+        where it has flexed, along the design's curve [rad]; infinite without two.
+
+        About 0, the tendon may have been taut at rest already. How far it had then moved the joints is
+        in no picture: a constant shift of the angles fits as well as none.
+        """
+        swept = SERVO_INDEX[self.servo]
+        joint = JOINT_INDEX[self.servo]
+        record = self.sweep()
+        held = (record.phase == FLEXING) & (record.point >= 0)
+        held &= ~np.isnan(record.joint_pos[:, joint])
+        servo, medians, _ = point_medians(record, np.flatnonzero(held))
+        flexed = np.flatnonzero(medians[:, joint] > FLEXED)[:2]
+        if len(flexed) < 2:
+            return np.inf
+        first, second = servo[flexed, swept]
+        course = np.zeros((200, len(SERVOS)))
+        course[:, swept] = np.linspace(hand.servo_min[swept], hand.servo_max[swept], len(course))
+        angles = elastic_joints_from_servo(course, hand)[:, joint]
+        near, far = np.interp(medians[flexed, joint], angles, course[:, swept])
+        return float(first - near * (second - first) / (far - near))
 
 
 def sweep_servo(

@@ -22,8 +22,8 @@ from experiments.strips import STRIP_LENS, Body
 from hpac_gym.bridge import FaultError, HandLink, VirtualHand, servo_from_pulses
 from hpac_gym.bridge.hands import config_of
 from hpac_gym.calibration import driven
-from hpac_gym.calibration.driven import LEAST_SLACK, Eye
-from hpac_gym.calibration.driver import sweep_servo
+from hpac_gym.calibration.driven import LEAST_SLACK, Eye, Tracker, added, angles_in
+from hpac_gym.calibration.driver import Segment, sweep_servo
 from hpac_gym.calibration.judging import judged
 from hpac_gym.calibration.record import (
     EXTENDING,
@@ -35,9 +35,7 @@ from hpac_gym.calibration.record import (
     read_sweep,
     write_sweep,
 )
-from hpac_gym.calibration.segment import Segment, added, angles_in
-from hpac_gym.camera import CameraError
-from hpac_gym.camera.angles import turns
+from hpac_gym.camera import CameraError, angles
 from hpac_gym.camera.sheet import CHAINS, STRIPS
 from hpac_gym.model import HPAC, JOINT_INDEX, SERVO_INDEX
 from hpac_gym.model.calibration import Calibration
@@ -86,8 +84,11 @@ def watched(servo):
 
 
 @pytest.fixture
-def index():
-    return watched("index_mcp")
+def index(monkeypatch):
+    """The index as it was watched; further fits of its tags take fewer pictures."""
+    rigged = watched("index_mcp")
+    monkeypatch.setattr(angles, "FITTED", 15)
+    return rigged
 
 
 def test_the_angles_of_a_picture_are_good_to_half_a_degree(index):
@@ -266,7 +267,7 @@ def test_a_camera_that_is_moved_is_told(index):
             tags[id] = corners @ tilt
     rest = np.array([phase == REST for phase, _ in index.segment.labels])
     with pytest.raises(CameraError, match="pixels from a turn about one axis"):
-        turns(seen, STRIPS["index_mcp"], STRIP_LENS, rest)
+        angles.turns(seen, STRIPS["index_mcp"], STRIP_LENS, rest)
 
 
 def test_pictures_without_a_tag_lose_that_angle_alone(index):
@@ -276,14 +277,14 @@ def test_pictures_without_a_tag_lose_that_angle_alone(index):
         {id: corners for id, corners in seen.items() if id != tag or number % 3}
         for number, seen in enumerate(index.segment.seen)
     ]
-    joint_pos, _ = turns(holed, STRIPS["index_mcp"], STRIP_LENS, rest)
+    joint_pos, _ = angles.turns(holed, STRIPS["index_mcp"], STRIP_LENS, rest)
     assert np.isnan(joint_pos[::3, 2]).all()
     assert not np.isnan(joint_pos[:, :2]).any()
     never_at_rest = [
         seen if not r else {} for seen, r in zip(index.segment.seen, rest, strict=True)
     ]
     with pytest.raises(CameraError, match=r"tag 11 \(palm\) is not seen at rest"):
-        turns(never_at_rest, STRIPS["index_mcp"], STRIP_LENS, rest)
+        angles.turns(never_at_rest, STRIPS["index_mcp"], STRIP_LENS, rest)
 
 
 def test_a_stalled_camera_and_a_missing_strip_are_told(monkeypatch, camera):
@@ -312,7 +313,7 @@ def test_angles_of_another_program_are_joined_by_the_time_of_the_day(tmp_path):
     path.write_text(f"{text}\n101.5,0.")  # the last line is still being written
     segment = Segment("index_mcp", labels=[(REST, -1)] * 4, unix=[99.0, 100.105, 100.8, 101.05])
     segment.time = [0.0, 0.1, 0.2, 0.3]
-    segment.angles_from_file(path)
+    Tracker(path).measure(segment, HPAC)
     mcp, pip = segment.joint_pos[:, [JOINT_INDEX["index_mcp"], JOINT_INDEX["index_pip"]]].T
     np.testing.assert_allclose(mcp, [np.nan, 0.105, 0.8, 1.0], atol=1e-9)
     np.testing.assert_allclose(pip, [np.nan, 0.21, np.nan, np.nan], atol=1e-9)
@@ -340,7 +341,7 @@ def test_angles_that_are_none_are_one_line(tmp_path, text, says):
     if text is not None:
         path.write_text(text)
     with pytest.raises(RecordError, match=says):
-        Segment("index_mcp", unix=[1.0]).angles_from_file(path)
+        Tracker(path).measure(Segment("index_mcp", unix=[1.0]), HPAC)
 
 
 def test_the_last_rows_of_angles_are_read_without_the_others(tmp_path):
@@ -375,6 +376,7 @@ def wired(monkeypatch, request):
     seen = watched(servo).segment.seen
     rigged.pictures = chain(seen[:1], seen)  # the first for who waits for all tags
     watch = Mock(latest=lambda: (next(rigged.pictures), 0.0), fault="")
+    monkeypatch.setattr(angles, "FITTED", 15)
     monkeypatch.setattr(driven, "connector", lambda *_: rigged.hand.connect)
     monkeypatch.setattr(driven, "Device", Mock())
     monkeypatch.setattr(driven, "Watch", lambda *_: watch)
@@ -434,13 +436,12 @@ def test_where_nobody_answers_nothing_moves(wired, camera, tmp_path, capsys, mon
 
 @pytest.mark.parametrize("wired", ["thumb_mp"], indirect=True)
 def test_the_command_warns_of_a_thumb_that_may_be_taut_at_rest(wired, camera, tmp_path, capsys):
-    words = ["sweep", "--port", "any", "--servo", "thumb_mp", "--camera", camera]
-    assert hpac.main([*words, "--out", str(tmp_path / "out")]) == 0
-    told = capsys.readouterr()
-    assert "thumb_mp: it flexes from command 0 on. If its tendon is taut there" in told.err
+    driven.record("any", tmp_path / "sweep.csv", camera=camera, servos=["thumb_mp"])
+    told = capsys.readouterr().err
+    assert "thumb_mp: it flexes from command 0 on. If its tendon is taut there" in told
 
 
-class Tracker:
+class Writer:
     """Another program: each look at the clock is 0.05 s later, and has written a row up to then."""
 
     def __init__(self, path, hand):
@@ -464,7 +465,7 @@ class Tracker:
 
 @pytest.fixture
 def tracker(wired, tmp_path, monkeypatch):
-    tracker = Tracker(tmp_path / "angles.csv", wired.hand)
+    tracker = Writer(tmp_path / "angles.csv", wired.hand)
     monkeypatch.setattr(driven.time, "time", tracker.time)
     return tracker
 
@@ -478,7 +479,7 @@ def test_another_tracker_s_angles_are_taken_and_an_old_record_is_kept(tracker, t
         assert capsys.readouterr().err.count("recorded: ") == 1
     assert not (tmp_path / "sweep-1.csv").exists()
     before = path.read_text()
-    assert hpac.main(words) == 0
+    assert hpac.main([*words, "--points", "4"]) == 0
     assert (tmp_path / "sweep-1.csv").read_text() == before != path.read_text()
     record = read_sweep(path)
     assert set(record.trial) == {0, 1}

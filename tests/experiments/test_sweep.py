@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from experiments import sweep as command
-from experiments.bench import Protocol
 from experiments.rig import Rig
 from experiments.sweep import PRINTED, Reference, met
 from hpac_gym.calibration import processing, sweep as of_record
