@@ -19,7 +19,7 @@ from hpac_gym.calibration.posterior import (
     read_draws,
     report_folder,
 )
-from hpac_gym.calibration.protocol import Protocol
+from hpac_gym.calibration.record import Protocol
 from hpac_gym.evaluation.forecast import OF
 from hpac_gym.evaluation.statistics import predicted_rate
 from hpac_gym.model import HPAC, JOINT_INDEX, hand_to_toml, load_hand
