@@ -14,11 +14,13 @@ from hpac_gym.errors import ParameterError
 Settings = TypeVar("Settings")
 
 
-def _are_numbers(given: object, count: int) -> bool:
-    values = given if isinstance(given, list | tuple) else ()
-    return len(values) == count and all(
+def are_numbers(given: object, count: int) -> bool:
+    """Whether it is a list or tuple of as many numbers, 0 for any; a truth value is none."""
+    if not isinstance(given, list | tuple) or count not in (0, len(given)):
+        return False
+    return all(
         type(value) in (float, int) or (isinstance(value, Real) and not isinstance(value, bool))
-        for value in values
+        for value in given
     )
 
 
@@ -30,8 +32,8 @@ def setting(default: Any = MISSING, meaning: str = "", **more: Any) -> Any:
             given.
         meaning: its meaning for the documentation.
         more: for `check_bounds`: `bounds`, lowest and highest value; `above` is True if the lowest
-            one is refused; `unit`; `size`, number of values; `number` is True for a number without a
-            default, or whose default is None. Anything else is up to the caller.
+            one is refused; `unit`; `size`, number of values, 0 for any; `number` is True for a
+            number without a default, or whose default is None. Anything else is up to the caller.
     """
     return field(default=default, metadata={"meaning": meaning, **more})
 
@@ -52,12 +54,12 @@ def check_bounds(settings: Any, name: str = "") -> None:
         given = getattr(settings, row.name)
         if given is None and row.default is None:
             continue
-        values = given if row.count > 1 else (given,)
-        if not _are_numbers(values, row.count) or not row.admits(values):
-            fixed = row.ordered and _are_numbers([given], 1) and row.admits([given, given])
+        values = (given,) if row.count == 1 else given
+        if not are_numbers(values, row.count) or not row.admits(values):
+            fixed = row.ordered and are_numbers([given], 1) and row.admits([given, given])
             form = f", such as [{given!r}, {given!r}]" if fixed else ""
             raise ParameterError(f"{name} {row.name} = {given!r} {row.told}{form}".lstrip())
-        if row.count > 1 and not isinstance(given, tuple):
+        if row.count != 1 and not isinstance(given, tuple):
             object.__setattr__(settings, row.name, tuple(given))
     for key, usual in _nested(type(settings)):
         value = settings_from(usual, getattr(settings, key), f"{name} {key}".lstrip())
@@ -83,7 +85,7 @@ class _Bounded:
     low: float
     high: float
     count: int
-    """Number of values."""
+    """Number of values, 0 for any."""
     ordered: bool
     told: str
     """What is allowed, in words."""
@@ -104,11 +106,15 @@ def _bounded(kind: type) -> tuple[_Bounded, ...]:
         if "bounds" not in told:
             continue
         low, high = told["bounds"]
-        alone = told.get("number", isinstance(entry.default, int | float))
+        alone = "size" not in told and told.get("number", isinstance(entry.default, int | float))
         count = told.get("size", 1 if alone else 2)
         ordered = not alone and "size" not in told
         what = (
-            "a number" if alone else "a range [lowest, highest]" if ordered else f"{count} values"
+            "a number"
+            if alone
+            else "a range [lowest, highest]"
+            if ordered
+            else f"{count or ''} values".lstrip()
         )
         unit = f" {told['unit']}" if "unit" in told else ""
         begin = "]" if told.get("above") or low == -math.inf else "["
@@ -177,6 +183,6 @@ def _value(default: Any, given: Any, name: str) -> Any:
     """Convert a value to the type of its default: settings, or a number."""
     if is_dataclass(default):
         return settings_from(default, given, name)
-    if not _are_numbers([given], 1) or not math.isfinite(given):
+    if not are_numbers([given], 1) or not math.isfinite(given):
         raise ParameterError(f"{name} = {given!r} must be a finite number")
     return float(given)

@@ -1,6 +1,7 @@
 """Validation of array arguments; errors give the value, the bound and the unit."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -105,6 +106,11 @@ def as_bounded_array(
             f"{name} {labels[column]} = {array[where]:.6g} {unit} is outside [{lower[column]:.6g}, {upper[column]:.6g}] {unit}"
         )
     return array
+
+
+def plain_list(values: Any) -> Any:
+    """Several values, an array's too, as a list of their own types; anything else as it is."""
+    return np.asarray(values, dtype=object).tolist()
 
 
 def read_only(array: Array) -> Array:

@@ -5,27 +5,31 @@ I. Everything else is derived from these once, by the paper's equations, as read
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import MISSING, dataclass, field, fields
 from functools import cached_property, partial
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
 from hpac_gym.errors import ParameterError
 from hpac_gym.model.calibration import Calibration
-from hpac_gym.model.checks import Array, read_only
+from hpac_gym.model.checks import Array, plain_list, read_only
 from hpac_gym.model.guides import chord_from_included
 from hpac_gym.model.joints import DIGITS, JOINT_INDEX, JOINTS, SERVO_INDEX, SERVOS, digit_joints
+from hpac_gym.settings import are_numbers, check_bounds, setting
 
 _CMC = len(SERVOS) - 1
+_ARM = 1.0
+"""Longest length in any hand (chosen) [m]."""
+_UNCALIBRATED = Calibration()
 
 
-def _require_positive(owner: str, name: str, value: float, unit: str) -> None:
-    if not (np.isfinite(value) and value > 0):
-        raise ParameterError(
-            f"{owner}: {name} = {value} {unit} must be finite and greater than 0 {unit}"
-        )
+def _positive(unit: str, default: Any = MISSING, most: float = 1e15, **more: Any) -> Any:
+    """A field for a positive number, by default of at most a stiffness that no hand has (chosen)."""
+    return setting(default, number=True, bounds=(0.0, most), above=True, unit=unit, **more)
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,32 +39,31 @@ class Digit:
     Lists run from the root joint (MCP, or the thumb's MP) to the fingertip.
 
     Raises:
-        ParameterError: A number is not finite and positive, a list has the wrong length, or the
-            guides cannot form the included angle.
+        ParameterError: A number leaves its bounds, or a list has the wrong length.
     """
 
     name: str
-    d1: float
+    d1: float = _positive("m", most=_ARM)
     """Distance of the fixed guide from the root joint's axis [m]."""
-    d2: float
+    d2: float = _positive("m", most=_ARM)
     """Distance of the moving guide from the root joint's axis [m]."""
-    alpha: float
+    alpha: float = _positive("rad", most=math.nextafter(math.pi, 0.0))
     """Included angle between the guides at rest [rad]."""
-    servo_radius: float
+    servo_radius: float = _positive("m", most=_ARM)
     """Radius r of the servo's hub [m]."""
-    joint_radius: tuple[float, ...]
+    joint_radius: tuple[float, ...] = _positive("m", most=_ARM, size=0)
     """Pulley radius R of each joint, root first [m]."""
-    path_length: tuple[float, ...]
+    path_length: tuple[float, ...] = _positive("m", most=_ARM, size=0)
     """Tendon path L between neighbouring joints, root first [m]."""
-    spring_stiffness: float
+    spring_stiffness: float = _positive("N/m")
     """k_s of the restoring spring [N/m]."""
-    tendon_stiffness: float
+    tendon_stiffness: float = _positive("N")
     """EA of the coupling tendon [N]."""
-    drive_stiffness: float
+    drive_stiffness: float = _positive("N/m")
     """Stiffness of the driving tendon between servo and root joint [N/m]; the model takes it as
     rigid.
     """
-    tension_limit: float
+    tension_limit: float = _positive("N")
     """Largest tension that the servo can exert on the driving tendon [N]."""
 
     def __post_init__(self) -> None:
@@ -68,20 +71,15 @@ class Digit:
         if self.name not in DIGITS:
             raise ParameterError(f"{owner} is not one of {', '.join(DIGITS)}")
         joints = len(self.joints)
-        for name, length in (("joint_radius", joints), ("path_length", joints - 1)):
-            given = tuple(getattr(self, name))  # of a list or an array, too
-            object.__setattr__(self, name, given)
-            if len(given) != length:
+        lengths = {"joint_radius": joints, "path_length": joints - 1}
+        for name in lengths:
+            object.__setattr__(self, name, plain_list(getattr(self, name)))
+        check_bounds(self, owner)
+        for name, length in lengths.items():
+            if len(getattr(self, name)) != length:
                 raise ParameterError(
-                    f"{owner}: {name} must have {length} entries, not {len(given)}"
+                    f"{owner} {name} = {getattr(self, name)} must have {length} entries"
                 )
-        units = {"alpha": "rad", "spring_stiffness": "N/m", "drive_stiffness": "N/m"}
-        units |= {"tendon_stiffness": "N", "tension_limit": "N"}
-        for item in fields(self)[1:]:
-            for value in np.atleast_1d(getattr(self, item.name)):
-                _require_positive(owner, item.name, float(value), units.get(item.name, "m"))
-        if self.alpha >= np.pi:
-            raise ParameterError(f"{owner}: alpha = {self.alpha} rad must be below {np.pi:.6g} rad")
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -148,8 +146,8 @@ class Hand:
     Arrays that are derived from these numbers are cached and read-only.
 
     Raises:
-        ParameterError: A digit is missing or named otherwise, a bound is not ordered, or the servo
-            range leaves the domain of Eq. (5).
+        ParameterError: A digit is missing or named otherwise, a number leaves its bounds, a range is
+            not ordered, or the servo range leaves the domain of Eq. (5).
     """
 
     name: str
@@ -157,43 +155,41 @@ class Hand:
     """The five digits by name."""
     workspace: Mapping[str, tuple[float, float]]
     """[q_min, q_max] of every joint by name [rad]. Table I."""
-    rate_limit: float
+    rate_limit: float = _positive("rad/s", most=100.0)
     """Largest commanded servo speed, of all six [rad/s]."""
-    cmc_gain: float = 1.0
+    cmc_gain: float = _positive("rad/rad", 1.0)
     """g_CMC, radians of CMC per radian of servo 6. Eq. (8)."""
-    cmc_stiffness: float = 20.0
+    cmc_stiffness: float = _positive("N·m/rad", 20.0)
     """Stiffness between servo 6 and the CMC joint [N·m/rad]."""
-    cmc_torque_limit: float = 0.8
+    cmc_torque_limit: float = _positive("N·m", 0.8)
     """Stall torque of servo 6 [N·m]."""
     sources: Mapping[str, str] = field(default_factory=dict, compare=False)
     """Source of each number, by field name."""
-    calibration: Calibration = field(default_factory=Calibration)
+    calibration: Calibration = _UNCALIBRATED
     """Parameters beyond the paper's model, identified from a sweep."""
 
     def __post_init__(self) -> None:
         for name, wanted in (("digits", DIGITS), ("workspace", JOINTS)):
-            given = getattr(self, name)
-            if set(given) != set(wanted):
-                wrong = sorted(set(given) ^ set(wanted))
+            if wrong := sorted(set(getattr(self, name)) ^ set(wanted)):
                 raise ParameterError(
                     f"hand {self.name}: {name} is missing or does not know {', '.join(wrong)}"
                 )
-            ordered = MappingProxyType({key: given[key] for key in wanted})
-            object.__setattr__(self, name, ordered)
-        object.__setattr__(self, "sources", MappingProxyType(dict(self.sources)))
-        units = {
-            "rate_limit": "rad/s",
-            "cmc_gain": "rad/rad",
-            "cmc_stiffness": "N m/rad",
-            "cmc_torque_limit": "N m",
-        }
-        for name, unit in units.items():
-            _require_positive(f"hand {self.name}", name, getattr(self, name), unit)
-        for joint, (lower, upper) in self.workspace.items():
-            if not (np.isfinite([lower, upper]).all() and lower < upper):
+        workspace = {}
+        for joint in JOINTS:
+            bounds = plain_list(self.workspace[joint])
+            if not (are_numbers(bounds, 2) and -np.inf < bounds[0] < bounds[1] < np.inf):
                 raise ParameterError(
-                    f"hand {self.name}: workspace of {joint} = [{lower}, {upper}] rad is not an interval"
+                    f"hand {self.name}: workspace of {joint} = {bounds} rad must be [min, max]"
                 )
+            workspace[joint] = tuple(bounds)
+        mappings = {
+            "digits": {name: self.digits[name] for name in DIGITS},
+            "workspace": workspace,
+            "sources": dict(self.sources),
+        }
+        for name, mapping in mappings.items():
+            object.__setattr__(self, name, MappingProxyType(mapping))
+        check_bounds(self, f"hand {self.name}")
         for name, digit in self.digits.items():
             if digit.name != name:
                 raise ParameterError(
@@ -214,7 +210,7 @@ class Hand:
     @property
     def is_calibrated(self) -> bool:
         """Whether its `[calibration]` is not all zero, so that commands invert the whole file."""
-        return self.calibration != Calibration()
+        return self.calibration != _UNCALIBRATED
 
     @cached_property
     def joint_min(self) -> Array:
