@@ -18,12 +18,6 @@ from hpac_gym.model.command import (
     synergy_from_action,
     synergy_from_joints,
 )
-from hpac_gym.model.elasticity import (
-    elastic_deviation,
-    elastic_joints_from_servo,
-    joints_from_synergy,
-    spring_tension,
-)
 from hpac_gym.model.files import HPAC, hand_to_toml, load_hand
 from hpac_gym.model.joints import (
     DIGITS,
@@ -37,8 +31,12 @@ from hpac_gym.model.joints import (
 from hpac_gym.model.parameters import Digit, Hand
 from hpac_gym.model.postures import POSTURES, Posture, Reach, posture, reach
 from hpac_gym.model.transmission import (
+    elastic_deviation,
+    elastic_joints_from_servo,
+    joints_from_synergy,
     rigid_joints_from_servo,
     servo_from_synergy,
+    spring_tension,
     synergy_from_servo,
     transmission_matrix,
 )

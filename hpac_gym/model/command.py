@@ -14,10 +14,10 @@ from hpac_gym.model.checks import (
     as_finite_vector,
     read_only,
 )
-from hpac_gym.model.elasticity import row_by_row
 from hpac_gym.model.files import HPAC
 from hpac_gym.model.joints import JOINTS, SERVOS
 from hpac_gym.model.parameters import Hand, unchecked_servo_from_synergy
+from hpac_gym.model.transmission import row_by_row
 
 _ACTION_BOUND = np.ones(len(SERVOS))
 ACTION_TOLERANCE = 1e-6

@@ -127,16 +127,12 @@ class Digit:
         return self.spring_stiffness * path / (self.tendon_stiffness * np.array(self.joint_radius))
 
     @property
-    def coupling_matrix(self) -> Array:
-        """M, with M q = A q_root on the elastic manifold, shape (n, n). Eqs. (12), (13)."""
-        return np.eye(len(self.joints)) + np.outer(self.compliance, self.joint_radius)
-
-    @property
     def elastic_ratio(self) -> Array:
-        """M⁻¹A: joint angles per radian of the root joint, with the tendon's elasticity. Eqs. (12),
-        (13).
+        """M⁻¹A: joint angles per radian of the root joint, with the tendon's elasticity, from M q =
+        A q_root. Eqs. (12), (13).
         """
-        return np.asarray(np.linalg.solve(self.coupling_matrix, self.rigid_ratio), dtype=float)
+        coupling = np.eye(len(self.joints)) + np.outer(self.compliance, self.joint_radius)
+        return np.asarray(np.linalg.solve(coupling, self.rigid_ratio), dtype=float)
 
 
 @dataclass(frozen=True)

@@ -16,11 +16,11 @@ from numpy.typing import ArrayLike
 from hpac_gym.errors import HpacError
 from hpac_gym.model.checks import Array, as_finite_vector, read_only
 from hpac_gym.model.command import clip_to_workspace, servo_from_joints
-from hpac_gym.model.elasticity import elastic_joints_from_servo
 from hpac_gym.model.files import HPAC
 from hpac_gym.model.joints import FINGERS, JOINTS
 from hpac_gym.model.parameters import Hand
 from hpac_gym.model.settled import settled_joints_from_servo, settled_servo_from_joints
+from hpac_gym.model.transmission import elastic_joints_from_servo
 
 
 class PostureError(HpacError, LookupError):
