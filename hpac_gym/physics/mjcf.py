@@ -27,6 +27,7 @@ from hpac_gym.model import (
     JOINTS,
     SERVOS,
     Hand,
+    digit_joints,
 )
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.mechanics import Mechanics, armature_of, mass_matrix
@@ -42,27 +43,41 @@ FILES = {
 }
 """Committed files by name: the body, and whether the palm is mounted on a wrist."""
 
-CONTACT = {"condim": "4", "solref": "0.005 1", "solimp": "0.95 0.99"}
+SOFTNESS = 'solref="0.005 1" solimp="0.95 0.99"'
+"""Attributes of a contact's softness."""
 TORSION = 5e-3
 """Torsional friction torque per newton of normal force [m], MuJoCo's default: a soft patch as wide
 as the fingertip. With 1 mm the learned policy's success rate is unchanged; those of the scripted
 closure and the named grasps are 2 to 4 points lower."""
-OPTION = {
-    "timestep": "0.008333333333333333",
-    "integrator": "discrete",
-    "cone": "elliptic",
-    "impratio": "100",
-    "jacobian": "sparse",
-    "tolerance": "1e-6",
-}
-SKY = {
-    "type": "skybox",
-    "builtin": "gradient",
-    "rgb1": "1 1 1",
-    "rgb2": "0.85 0.87 0.9",
-    "width": "64",
-    "height": "64",
-}
+# Fingers collide with everything except fingers; "drawn" geoms collide with nothing. MuJoCo excludes
+# contacts with the parent, except where the palm is part of the world.
+_FRAME = """\
+<mujoco model="{name}">
+  <compiler angle="radian" autolimits="true" />
+  <option timestep="0.008333333333333333" integrator="discrete" cone="elliptic" impratio="100"
+    jacobian="sparse" tolerance="1e-6" />
+  <statistic center="0 0 0.08" extent="0.25" />
+  <visual>
+    <headlight ambient="0.35 0.35 0.35" diffuse="0.35 0.35 0.35" specular="0.1 0.1 0.1" />
+  </visual>
+  <default>
+    <geom condim="4" {softness} friction="{friction}" group="0" />
+    <joint damping="{damping}" solreflimit="0.005 1" />
+    <default class="body"><geom contype="1" conaffinity="3" group="0" /></default>
+    <default class="finger"><geom contype="2" conaffinity="1" group="0" /></default>
+    <default class="drawn"><geom contype="0" conaffinity="0" group="1" mass="0" /></default>
+  </default>
+  <asset>
+    <texture type="skybox" builtin="gradient" rgb1="1 1 1" rgb2="0.85 0.87 0.9" width="64" height="64" />
+    {materials}
+  </asset>
+  <worldbody>
+    <light name="lamp" directional="true" pos="0.5 0.8 1" dir="-0.5 -0.8 -1" diffuse="0.5 0.5 0.5" />
+  </worldbody>
+  <contact>{excluded}</contact>
+  <tendon />
+  <actuator />
+</mujoco>"""
 INERTIA_ENTRIES = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)
 """Entries of an inertia as MJCF lists them: xx, yy, zz, xy, xz and yz."""
 WRIST_STIFFNESS = 5e3
@@ -85,79 +100,40 @@ def hand_mjcf(
     """
     inertia = mass_matrix(geometry, settings.armature, hand.synergy_max / 2, hand)
     mechanics = Mechanics.of(hand, settings, inertia, geometry)
-    root = Xml.Element("mujoco", model="hpac_hand_on_wrist" if on_wrist else "hpac_hand")
-    Xml.SubElement(root, "compiler", angle="radian", autolimits="true")
-    Xml.SubElement(root, "option", OPTION)
-    Xml.SubElement(root, "statistic", center="0 0 0.08", extent="0.25")
-    Xml.SubElement(
-        Xml.SubElement(root, "visual"),
-        "headlight",
-        ambient="0.35 0.35 0.35",
-        diffuse="0.35 0.35 0.35",
-        specular="0.1 0.1 0.1",
-    )
-    _add_defaults(root, settings)
-    assets = Xml.SubElement(root, "asset")
-    Xml.SubElement(assets, "texture", SKY)
-    for name, rgba in COLORS.items():
-        Xml.SubElement(
-            assets, "material", name=name, rgba=text_of(rgba), specular="0.2", shininess="0.3"
+    root = Xml.fromstring(
+        _FRAME.format(
+            name="hpac_hand_on_wrist" if on_wrist else "hpac_hand",
+            softness=SOFTNESS,
+            friction=text_of((settings.contact_friction**2, TORSION, 0.0001)),
+            damping=text_of((settings.damping.joint,)),
+            materials="".join(
+                f'<material name="{name}" rgba="{text_of(rgba)}" specular="0.2" shininess="0.3" />'
+                for name, rgba in COLORS.items()
+            ),
+            excluded="".join(
+                f'<exclude body1="palm" body2="{digit.phalanges[0].link}" />'
+                for digit in geometry.digits
+            ),
         )
-    world = Xml.SubElement(root, "worldbody")
-    Xml.SubElement(
-        world,
-        "light",
-        name="lamp",
-        directional="true",
-        pos="0.5 0.8 1",
-        dir="-0.5 -0.8 -1",
-        diffuse="0.5 0.5 0.5",
     )
+    if settings.joint_friction:
+        root.find("default/joint").set("frictionloss", text_of((settings.joint_friction,)))
+    world = root.find("worldbody")
     bodies = {"palm": _add_palm(_add_wrist(world) if on_wrist else world, geometry)}
     for phalanx in geometry.phalanges:
         bodies[phalanx.link] = _add_phalanx(bodies[phalanx.parent], phalanx, settings, hand)
     links = {phalanx.joint: phalanx for phalanx in geometry.phalanges}
     for digit, servo, (fixed, moving) in zip(DIGITS, SERVOS, mechanics.guides, strict=False):
-        _add_guide(bodies[links[servo].parent], f"{digit}_fixed_guide", fixed)
-        _add_guide(bodies[links[servo].link], f"{digit}_moving_guide", moving)
-    contact = Xml.SubElement(root, "contact")
-    # MuJoCo excludes contacts with the parent, except where the palm is part of the world.
-    for digit in geometry.digits:
-        Xml.SubElement(contact, "exclude", body1="palm", body2=digit.phalanges[0].link)
-    _add_tendons(Xml.SubElement(root, "tendon"), mechanics)
-    _add_actuators(Xml.SubElement(root, "actuator"), mechanics, hand, on_wrist)
+        for end, link, place in (
+            ("fixed", links[servo].parent, fixed),
+            ("moving", links[servo].link, moving),
+        ):
+            name = f"{digit}_{end}_guide"
+            Xml.SubElement(bodies[link], "site", name=name, pos=text_of(place, 15), size="0.002")
+    _add_tendons(root.find("tendon"), mechanics)
+    _add_actuators(root.find("actuator"), mechanics, hand, on_wrist)
     Xml.indent(root)
     return HEADER + Xml.tostring(root, encoding="unicode") + "\n"
-
-
-def _add_guide(body: Xml.Element, name: str, place: Array) -> None:
-    Xml.SubElement(body, "site", name=name, pos=text_of(place, 15), size="0.002")
-
-
-def _add_defaults(root: Xml.Element, settings: HandSettings) -> None:
-    """Default classes: fingers collide with everything except fingers; "drawn" geoms collide with
-    nothing.
-    """
-    defaults = Xml.SubElement(root, "default")
-    Xml.SubElement(
-        defaults,
-        "geom",
-        CONTACT,
-        friction=text_of((settings.contact_friction**2, TORSION, 0.0001)),
-        group="0",
-    )
-    Xml.SubElement(
-        defaults, "joint", damping=text_of((settings.damping.joint,)), solreflimit=CONTACT["solref"]
-    )
-    if settings.joint_friction:
-        defaults[-1].set("frictionloss", text_of((settings.joint_friction,)))
-    for name, contype, conaffinity, more in (
-        ("body", "1", "3", {"group": "0"}),
-        ("finger", "2", "1", {"group": "0"}),
-        ("drawn", "0", "0", {"group": "1", "mass": "0"}),
-    ):
-        kind = Xml.SubElement(defaults, "default", {"class": name})
-        Xml.SubElement(kind, "geom", contype=contype, conaffinity=conaffinity, **more)
 
 
 def _add_wrist(world: Xml.Element) -> Xml.Element:
@@ -217,7 +193,12 @@ def _add_phalanx(
 
 
 def _add_tendons(tendon: Xml.Element, mechanics: Mechanics) -> None:
-    rows = zip(fixed_tendons(), mechanics.rows, mechanics.stiffness, mechanics.damping, strict=True)
+    """Couplings and springs, in the order of `Mechanics.rows`, then the drives."""
+    names = [
+        *(f"{digit}_coupling_{i}" for digit in DIGITS for i in range(1, len(digit_joints(digit)))),
+        *(f"{digit}_spring" for digit in DIGITS),
+    ]
+    rows = zip(names, mechanics.rows, mechanics.stiffness, mechanics.damping, strict=True)
     for name, row, stiffness, damping in rows:
         viscous = {"damping": text_of((damping,))} if damping else {}
         fixed = Xml.SubElement(
@@ -233,16 +214,6 @@ def _add_tendons(tendon: Xml.Element, mechanics: Mechanics) -> None:
             drive.set("armature", text_of((mass,)))
         for end in ("fixed", "moving"):
             Xml.SubElement(drive, "site", site=f"{digit}_{end}_guide")
-
-
-def fixed_tendons() -> list[str]:
-    """Names of couplings and springs, in the order of `Mechanics.rows`."""
-    couplings = [
-        f"{digit}_coupling_{i}"
-        for digit, joints in HPAC.digits.items()
-        for i in range(1, len(joints.joints))
-    ]
-    return couplings + [f"{digit}_spring" for digit in DIGITS]
 
 
 def _add_actuators(actuator: Xml.Element, mechanics: Mechanics, hand: Hand, on_wrist: bool) -> None:

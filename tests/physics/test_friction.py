@@ -11,13 +11,16 @@ friction, as MuJoCo's here have and as Bullet's iterative solver can have. These
 why PyBullet loses round objects that MuJoCo holds: docs/physics.md, "Why PyBullet loses round
 objects"."""
 
+import re
 from functools import partial
 
 import mujoco
 import numpy as np
 import pytest
 
-from hpac_gym.physics.mjcf import CONTACT, OPTION, TORSION
+from hpac_gym.body.geometry import HPAC_GEOMETRY
+from hpac_gym.physics.mjcf import SOFTNESS, TORSION, hand_mjcf
+from hpac_gym.physics.settings import HandSettings
 
 FRICTION = 0.5
 PUSH = 5.0
@@ -53,14 +56,14 @@ def mujoco_ball(lean: float, torque: float = 0.0, torsion: float = TORSION) -> t
             f'<geom type="box" size="0.005 0.05 0.05" mass="1"/></body>'
         )
         actuators += f'<motor joint="plate{side}" gear="{-side * PUSH}"/>'
-    contact = " ".join(f'{name}="{value}"' for name, value in CONTACT.items())
-    options = " ".join(f'{name}="{value}"' for name, value in OPTION.items())
+    (options,) = re.findall("<option .*", hand_mjcf(HPAC_GEOMETRY, HandSettings()))
     model = mujoco.MjModel.from_xml_string(
-        f'<mujoco><compiler angle="radian"/><option gravity="0 0 0" {options}/>'
-        f'<default><geom friction="{FRICTION} {torsion} 0.0001" {contact}/></default>'
+        f'<mujoco><compiler angle="radian"/>{options}'
+        f'<default><geom condim="4" friction="{FRICTION} {torsion} 0.0001" {SOFTNESS}/></default>'
         f'<worldbody><body name="ball"><freejoint/><geom type="sphere" size="{RADIUS}" mass="{MASS}"/></body>{plates}</worldbody>'
         f"<actuator>{actuators}</actuator></mujoco>"
     )
+    model.opt.gravity[:] = 0.0
     data = mujoco.MjData(model)
     data.ctrl[:] = 1.0
     data.body("ball").xfrc_applied[3] = torque

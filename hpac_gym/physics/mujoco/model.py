@@ -20,7 +20,7 @@ from hpac_gym.body.object_models import ObjectModel, Solid
 from hpac_gym.model import DIGITS, JOINTS
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import HAND_POSITION, PARTS, SceneSetup
-from hpac_gym.physics.mjcf import fixed_tendons, hand_mjcf
+from hpac_gym.physics.mjcf import hand_mjcf
 from hpac_gym.physics.settings import HandSettings, WorldSettings
 from hpac_gym.physics.supports import COLORS, POST, TABLE_HALF_EXTENTS
 
@@ -135,10 +135,7 @@ def build(
     for slide in actuators.findall("position"):
         slide.attrib |= wrist
     if layout.object is not None:
-        _add_object(root, world, layout)
-        if not layout.fixed:
-            _add_supports(world, layout)
-        _add_sensors(Xml.SubElement(root, "sensor"), layout)
+        _add_scene(root, layout)
     model = mujoco.MjModel.from_xml_string(Xml.tostring(root, encoding="unicode"))
     # These flags state that a frame coincides with its body's; worlds move theirs.
     model.geom_sameframe[:] = 0
@@ -147,19 +144,50 @@ def build(
     return model
 
 
-def _add_object(root: Xml.Element, world: Xml.Element, layout: Layout) -> None:
-    item = Xml.SubElement(world, "body", name="object")
+def _add_scene(root: Xml.Element, layout: Layout) -> None:
+    """Add an object, what it stands on, and a sensor for each of its contacts."""
+    standing = {}
     if not layout.fixed:
-        Xml.SubElement(item, "freejoint", name="object")
-    if layout.object != "primitive":
-        item.set("simple", "false")  # worlds set their own inertia axes
-    Xml.SubElement(item, "inertial", pos="0 0 0", mass="0.1", diaginertia="1e-4 1e-4 1e-4")
+        standing["support"] = _box("support") * layout.boxes + _box("table")
+    if layout.target:
+        standing["target"] = _box("target")
+    bodies = "".join(f'<body name="{name}">{boxes}</body>' for name, boxes in standing.items())
+    digits = [HPAC_GEOMETRY.digit(name).phalanges[0].link for name in DIGITS]
+    owners = ['body1="palm"', *(f'subtree1="{link}"' for link in digits)]
+    sensors = "".join(
+        f'<contact name="{part}" {owner} body2="object" num="{SLOTS}" data="found force" reduce="maxforce" />'
+        for part, owner in zip(PARTS, owners, strict=True)
+    ) + "".join(
+        f'<contact name="{name}" body1="{name}" body2="object" data="found" />' for name in standing
+    )
+    # Worlds set their own inertia axes, but for a primitive.
+    simple = "" if layout.object == "primitive" else 'simple="false"'
+    scene = Xml.fromstring(
+        f"""<mujoco>
+          <worldbody>
+            <body name="object" {simple}>
+              {"" if layout.fixed else '<freejoint name="object" />'}
+              <inertial pos="0 0 0" mass="0.1" diaginertia="1e-4 1e-4 1e-4" />
+            </body>
+            {bodies}
+          </worldbody>
+          <sensor>{sensors}</sensor>
+        </mujoco>"""
+    )
+    root.extend(scene)
+    item = scene.find("worldbody/body")
     for index in range(layout.solids):
         geom = {"class": "body", "name": f"object_{index}", "priority": "1"}
         if isinstance(layout.object, ObjectModel):
             add_solid(root, item, index, layout.object.solids[index], geom)
         else:
             Xml.SubElement(item, "geom", geom, type="box", size="0.03 0.03 0.03")
+
+
+def _box(kind: str) -> str:
+    """A box that stands in the world, whose size and place worlds set, but for the table's."""
+    size = exact_text(TABLE_HALF_EXTENTS if kind == "table" else (0.02, 0.02, 0.02))
+    return f'<geom class="body" type="box" size="{size}" rgba="{exact_text(COLORS[kind])}" priority="2" />'
 
 
 def add_solid(
@@ -192,37 +220,6 @@ def size_of(kind: str, x: float, y: float, z: float) -> tuple[tuple[float, float
         case "cylinder":
             return (x, z, 0.0), math.hypot(x, z)
     return (x, z - x, 0.0), z
-
-
-def _add_supports(world: Xml.Element, layout: Layout) -> None:
-    body = Xml.SubElement(world, "body", name="support")
-    for kind in ["support"] * layout.boxes + ["table"] + ["target"] * layout.target:
-        if kind == "target":
-            body = Xml.SubElement(world, "body", name="target")
-        Xml.SubElement(
-            body,
-            "geom",
-            {"class": "body"},
-            type="box",
-            size=exact_text(TABLE_HALF_EXTENTS if kind == "table" else (0.02, 0.02, 0.02)),
-            rgba=exact_text(COLORS[kind]),
-            priority="2",
-        )
-
-
-def _add_sensors(sensor: Xml.Element, layout: Layout) -> None:
-    for part in PARTS:
-        owner = (
-            {"body1": "palm"}
-            if part == "palm"
-            else {"subtree1": HPAC_GEOMETRY.digit(part).phalanges[0].link}
-        )
-        slots = {"num": str(SLOTS), "data": "found force", "reduce": "maxforce"}
-        Xml.SubElement(sensor, "contact", {"name": part, **owner, "body2": "object", **slots})
-    for name in ("support", "target") if layout.target else () if layout.fixed else ("support",):
-        Xml.SubElement(
-            sensor, "contact", {"name": name, "body1": name, "body2": "object", "data": "found"}
-        )
 
 
 def exact_text(values: Iterable[float]) -> str:
@@ -263,11 +260,12 @@ class Addresses:
         self.dof = model.jnt_dofadr[self.hinge]
         slides = model.jnt_qposadr[model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE.value]
         free = model.jnt_type == mujoco.mjtJoint.mjJNT_FREE.value
-        place = [model.jnt_qposadr[free] + index for index in range(7)]
-        self.object = int(place[0][0]) if free.any() else -1
+        place = (model.jnt_qposadr[free, None] + np.arange(7)).ravel()
+        motion = (model.jnt_dofadr[free, None] + np.arange(6)).ravel()
+        self.pose = np.hstack([self.joint, slides, place])
+        self.motion = np.hstack([self.dof, motion])
+        self.object = int(place[0]) if free.any() else -1
         self.object_body = bodies.index("object") if "object" in bodies else -1
-        self.pose = np.hstack([self.joint, slides, *place])
-        self.motion = np.hstack([self.dof, *(model.jnt_dofadr[free] + index for index in range(6))])
         self.palm = bodies.index("palm")
         self.hand = np.array(
             [index for index, name in enumerate(bodies) if name == "palm" or name.endswith("_link")]
@@ -282,11 +280,9 @@ class Addresses:
                 for digit in DIGITS
             ]
         )
-        self.fixed = np.array([model.tendon(name).id for name in fixed_tendons()])
-        self.drives = np.array([model.tendon(f"{digit}_drive").id for digit in DIGITS])
-        self.wraps = np.array(
-            [model.tendon_adr[i] + k for i in self.fixed for k in range(model.tendon_num[i])]
-        )
+        self.fixed = slice(0, -len(DIGITS))
+        self.drives = slice(-len(DIGITS), None)
+        self.wraps = slice(0, model.tendon_adr[-len(DIGITS)])
         slots = np.arange(len(PARTS) * SLOTS * FORCE_SIZE).reshape(len(PARTS), SLOTS, FORCE_SIZE)
         rest = np.arange(slots.size, model.nsensordata)
         self.touch = np.hstack([slots[..., 1].ravel(), slots[:, 0, 0], rest])[: model.nsensordata]

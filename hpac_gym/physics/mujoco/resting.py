@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from hpac_gym.body.object_models import ObjectModel
 from hpac_gym.errors import ParameterError
 from hpac_gym.model.checks import Array
-from hpac_gym.physics.mjcf import CONTACT, INERTIA_ENTRIES
+from hpac_gym.physics.mjcf import INERTIA_ENTRIES, SOFTNESS
 from hpac_gym.physics.mujoco.model import add_solid, exact_text, quaternion_from_matrix
 from hpac_gym.physics.supports import POST, SUPPORT_FRICTION
 
@@ -78,23 +78,24 @@ class Table:
     """An object in MuJoCo above a table, or above the post of a stand."""
 
     def __init__(self, model: ObjectModel, friction: float, post: bool = False) -> None:
-        root = Xml.Element("mujoco")
-        Xml.SubElement(root, "option", timestep="0.002", cone="elliptic")
-        world = Xml.SubElement(root, "worldbody")
-        size = " ".join(map(repr, (*POST.half_width, 0.1))) if post else "0.5 0.5 0.1"
-        contact = CONTACT | {"condim": "6", "friction": f"{SUPPORT_FRICTION * friction} {_ROLLING}"}
-        for half, place in ((size, "0 0 -0.1"), ("0.5 0.5 0.01", "0 0 -0.4"))[: 1 + post]:
-            Xml.SubElement(world, "geom", type="box", size=half, pos=place, priority="1", **contact)
-        body = Xml.SubElement(world, "body", name="object")
-        Xml.SubElement(body, "freejoint")
-        Xml.SubElement(
-            body,
-            "inertial",
-            pos=exact_text(model.center_of_mass),
-            mass=exact_text([model.mass]),
-            fullinertia=exact_text(model.inertia[INERTIA_ENTRIES]),
+        contact = f'priority="1" condim="6" friction="{SUPPORT_FRICTION * friction} {_ROLLING}" {SOFTNESS}'
+        size = exact_text((*POST.half_width, 0.1)) if post else "0.5 0.5 0.1"
+        floor = f'<geom type="box" size="0.5 0.5 0.01" pos="0 0 -0.4" {contact} />'
+        root = Xml.fromstring(
+            f"""<mujoco>
+              <option timestep="0.002" cone="elliptic" />
+              <asset />
+              <worldbody>
+                <geom type="box" size="{size}" pos="0 0 -0.1" {contact} />{floor * post}
+                <body name="object">
+                  <freejoint />
+                  <inertial pos="{exact_text(model.center_of_mass)}" mass="{exact_text([model.mass])}"
+                    fullinertia="{exact_text(model.inertia[INERTIA_ENTRIES])}" />
+                </body>
+              </worldbody>
+            </mujoco>"""
         )
-        Xml.SubElement(root, "asset")
+        body = root.find("worldbody/body")
         for index, solid in enumerate(model.solids):
             add_solid(root, body, index, solid, {})
         self.object = model
