@@ -2,14 +2,13 @@
 written from their setups.
 """
 
-import math
 from functools import lru_cache
 from typing import Any
 
 import mujoco
 import numpy as np
 from mujoco.batch import Batch
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from hpac_gym.body.geometry import Geometry
 from hpac_gym.body.object_models import ObjectModel, principal_inertia
@@ -113,21 +112,24 @@ class Parameters:
         at = self._at
         inertia = _inertia_of_hand(setup.geometry, settings.armature)
         numbers = Mechanics.of(hand, settings, inertia, setup.geometry)
-        fields["site_pos"][world, at.guides] = numbers.guides
-        fields["jnt_range"][world, at.hinge] = np.stack([hand.joint_min, hand.joint_max], axis=1)
-        fields["dof_damping"][world, at.dof] = settings.damping.joint
-        fields["dof_frictionloss"][world, at.dof] = settings.joint_friction
-        fields["dof_armature"][world, at.dof[-1]] = settings.hub_inertia / hand.cmc_gain**2
-        fields["tendon_stiffness"][world, at.fixed] = numbers.stiffness
-        fields["tendon_damping"][world, at.fixed] = numbers.damping
-        fields["tendon_armature"][world, at.drives] = numbers.hub_mass
-        fields["wrap_prm"][world, at.wraps] = numbers.rows[numbers.rows != 0]
-        gain, bias, limits = (
-            fields[f"actuator_{name}"][world] for name in ("gainprm", "biasprm", "forcerange")
-        )
+        values = {
+            "site_pos": (at.guides, numbers.guides),
+            "jnt_range": (at.hinge, np.stack([hand.joint_min, hand.joint_max], axis=1)),
+            "dof_damping": (at.dof, settings.damping.joint),
+            "dof_frictionloss": (at.dof, settings.joint_friction),
+            "dof_armature": (at.dof[-1], settings.hub_inertia / hand.cmc_gain**2),
+            "tendon_stiffness": (at.fixed, numbers.stiffness),
+            "tendon_damping": (at.fixed, numbers.damping),
+            "tendon_armature": (at.drives, numbers.hub_mass),
+            "wrap_prm": (at.wraps, numbers.rows[numbers.rows != 0]),
+        }
+        for name, (rows, value) in values.items():
+            fields[name][world, rows] = value
+        gain = fields["actuator_gainprm"][world]
+        bias = fields["actuator_biasprm"][world]
         gain[: len(SERVOS), 0] = numbers.gain
         bias[: len(SERVOS), :3] = numbers.bias
-        limits[: len(SERVOS)] = numbers.limit
+        fields["actuator_forcerange"][world, : len(SERVOS)] = numbers.limit
         brake = settings.damping.overrun * numbers.bias[: len(DIGITS), 2]
         gain[-len(DIGITS) :, 0] = brake * hand.servo_radius
         bias[-len(DIGITS) :, 2] = brake
@@ -168,12 +170,10 @@ class Parameters:
         fields = self.fields
         ids = self._at.boxes
         for geom, box in zip(ids, support_boxes(setup), strict=True):
-            half = box.half_extents
             x, y, z, w = box.quaternion
-            fields["geom_size"][world, geom] = fields["geom_aabb"][world, geom, 3:] = half
-            fields["geom_rbound"][world, geom] = math.hypot(*half)
-            fields["geom_pos"][world, geom] = box.centre
-            fields["geom_quat"][world, geom] = w, x, y, z
+            values = _geom_fields("box", *box.half_extents.tolist(), box.centre, (w, x, y, z))
+            for name, value in values.items():
+                fields[name][world, geom] = value
         fields["geom_friction"][world, ids, 0] = SUPPORT_FRICTION * setup.object.friction
 
 
@@ -208,7 +208,7 @@ def _geoms_of(model: ObjectModel, scale: float) -> tuple[NDArray[np.intp], dict[
 
 
 def _geom_fields(
-    kind: str, x: float, y: float, z: float, place: Array = _ORIGIN, turn: Array = _STRAIGHT
+    kind: str, x: float, y: float, z: float, place: Array = _ORIGIN, turn: ArrayLike = _STRAIGHT
 ) -> dict[str, Any]:
     """MuJoCo's geom fields of a solid with these half-extents [m], at a place [m], turned by a
     quaternion wxyz.
