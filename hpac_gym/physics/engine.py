@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from functools import lru_cache
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -243,16 +243,21 @@ class Viewpoint:
             )
 
 
-class Engine(Protocol):
+class Engine:
     """Physics of n worlds, one hand each. Results depend, to the bit, only on setup and tables, not
     on history or neighbours.
+
+    Attributes:
+        num_worlds: n.
+        dt: physics step [s].
+        every_step: whether `SceneState.force_steps` is wanted; False at first.
     """
 
-    num_worlds: int
-    dt: float
-    """Physics step [s]."""
-    every_step: bool
-    """True if `SceneState.force_steps` is wanted; False at first."""
+    def __init__(self, num_worlds: int, dt: float) -> None:
+        self.num_worlds = num_worlds
+        self.dt = dt
+        self.every_step = False
+        self._force_steps = np.zeros((num_worlds, 0))
 
     def require(self, settings: HandSettings) -> None:
         """Refuse a hand that this engine cannot simulate.
@@ -301,6 +306,11 @@ class Engine(Protocol):
 
     def close(self) -> None:
         """Release the engine's resources. Closing twice is allowed."""
+
+    def _forget_forces(self, worlds: Sequence[int]) -> None:
+        """Episodes begin in some worlds, without forces of the ones before."""
+        self._force_steps = self._force_steps.copy()  # an earlier state has this array
+        self._force_steps[list(worlds)] = 0.0
 
 
 def matrix_from_quaternion(quaternion: Sequence[float]) -> Array:

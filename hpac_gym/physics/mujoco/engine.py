@@ -59,10 +59,7 @@ class MuJoCoEngine(Engine):
             if hasattr(os, "sched_getaffinity")
             else os.cpu_count() or 1
         )
-        self.num_worlds = num_worlds
-        self.dt = settings.dt
-        self.every_step = False
-        self._force_steps = np.zeros((num_worlds, 0))
+        super().__init__(num_worlds, settings.dt)
         self._options = num_worlds, settings, min(num_worlds, available), visuals
         self._camera: Camera | None = None
         self._groups: dict[Layout, Group] = {}
@@ -91,8 +88,7 @@ class MuJoCoEngine(Engine):
             started.setdefault(self._groups[layout], []).append(world)
         for group, entries in started.items():
             group.start(entries, [self._setups[world] for world in entries])
-        self._force_steps = self._force_steps.copy()  # an earlier state has this array
-        self._force_steps[list(worlds)] = 0.0
+        self._forget_forces(worlds)
         self._rows = {}
         for group in dict.fromkeys(filter(None, self._group_of)):
             rows = np.flatnonzero([owner is group for owner in self._group_of])

@@ -49,10 +49,7 @@ class PyBulletEngine(Engine):
             raise ParameterError(
                 f"torsion = {settings.torsion} m needs Bullet's iterative solver: solver_iterations ≥ 1"
             )
-        self.num_worlds = num_worlds
-        self.dt = settings.dt
-        self.every_step = False
-        self._force_steps = np.zeros((num_worlds, 0))
+        super().__init__(num_worlds, settings.dt)
         self._options = settings, visuals
         self.scenes = [Scene(*self._options) for _ in range(num_worlds)]
         self._spare: Scene | None = None
@@ -68,8 +65,7 @@ class PyBulletEngine(Engine):
     def reset(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
         for world, setup in zip(worlds, setups, strict=True):
             self._start(world, setup)
-        self._force_steps = self._force_steps.copy()  # an earlier state has this array
-        self._force_steps[list(worlds)] = 0.0
+        self._forget_forces(worlds)
 
     def _start(self, world: int, setup: SceneSetup) -> None:
         """Start an episode. A single world keeps two hands loaded, as beside an object and above one,
