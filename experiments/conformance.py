@@ -33,7 +33,7 @@ from hpac_gym.physics.engine import HAND_POSITION, Engine, SceneSetup
 from hpac_gym.physics.mechanics import mass_matrix
 from hpac_gym.physics.settings import BODIES, HandSettings, WorldSettings
 from hpac_gym.physics.simulation import ENGINES, SET_UPS, Simulation, is_installed, make_engine
-from hpac_gym.physics.tendons import Drive, Tendons, coupling_rows, spring_rows
+from hpac_gym.physics.tendons import Drive, Tendons, element_rows
 
 Factory = Callable[[int, WorldSettings], Engine]
 """Makes an engine of n worlds."""
@@ -195,7 +195,7 @@ def stiffest_mode(
     it well below 2.
     """
     inertia = mass_matrix(geometry, settings.armature, hand.synergy_max / 2, hand)
-    rows, stiffness = map(np.concatenate, zip(coupling_rows(hand), spring_rows(hand), strict=True))
+    rows, stiffness = element_rows(hand)
     elastic = rows.T @ (stiffness[:, None] * rows)
     elastic[_ROOTS[-1], _ROOTS[-1]] += hand.cmc_stiffness
     drives = [Drive.of(digit) for digit in hand.digits.values()]

@@ -14,11 +14,11 @@ from hpac_gym.model import DIGITS, HPAC, JOINT_INDEX, JOINTS, SERVOS, Hand, join
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.settings import HandSettings
 from hpac_gym.physics.tendons import (
+    COUPLINGS,
     ROOTS,
-    coupling_rows,
     drive_arms,
     drive_stiffness,
-    spring_rows,
+    element_rows,
     viscosities,
 )
 
@@ -113,23 +113,22 @@ class Mechanics:
             geometry: the hand's body.
         """
         digits = list(hand.digits.values())
-        (coupling, coupling_stiffness) = coupling_rows(hand)
-        (spring, spring_stiffness) = spring_rows(hand)
+        rows, element_stiffness = element_rows(hand)
         hub_mass = settings.hub_inertia / hand.servo_radius**2
         stiffness = np.array([drive_stiffness(digit) for digit in digits])
         inertia = inertia.copy()
         inertia[ROOTS, ROOTS] += hub_mass * drive_arms(hand) ** 2
         inertia[-1, -1] += settings.hub_inertia / hand.cmc_gain**2  # the last joint is the CMC
         viscosity, _ = viscosities(hand, inertia, settings.damping.ratio)
-        coupling_damping, drive_damping = np.split(viscosity[:-1], [len(coupling)])
+        coupling_damping, drive_damping = np.split(viscosity[:-1], [COUPLINGS])
         length = hand.rest_chord + np.broadcast_to(settings.slack, len(digits))
         tension = np.array([digit.tension_limit for digit in digits]) * settings.strength
         drives = np.stack([stiffness * length, -stiffness, -drive_damping], axis=1)
         limits = np.stack([-tension, np.zeros_like(tension)], axis=1)
         return cls(
-            np.vstack([coupling, spring]),
-            np.append(coupling_stiffness, spring_stiffness),
-            np.append(coupling_damping, np.zeros_like(spring_stiffness)),
+            rows,
+            element_stiffness,
+            np.append(coupling_damping, np.zeros(len(digits))),
             _guides(hand, *_root_frames(geometry)),
             hub_mass,
             np.append(-stiffness * hand.servo_radius, hand.cmc_stiffness * hand.cmc_gain),

@@ -34,36 +34,31 @@ _CMC = SERVO_INDEX["thumb_cmc"]
 _CMC_JOINT = JOINT_INDEX["thumb_cmc"]
 ROOTS = [JOINT_INDEX[joint] for joint in SERVOS[:-1]]
 """Joints that the five drives pull."""
+COUPLINGS = 9
+"""Number of coupling segments."""
 RIGID = 5e5
 """Largest stiffness of a drive that is simulated (chosen) [N/m]. Hand files of a sweep may have any
 above it for a tendon whose stretch is not seen; it would be too fast for the time step.
 """
 
 
-def coupling_rows(hand: Hand) -> tuple[Array, Array]:
-    """Coupling segments: their stretch as a linear function of the joint angles, and their
-    stiffnesses.
+def element_rows(hand: Hand) -> tuple[Array, Array]:
+    """The elements whose length is linear in the joint angles: nine coupling segments, whose length
+    is their stretch, then five restoring springs, whose length is their excursion, Eq. (10).
 
     Returns:
-        Rows J with stretch = J q, shape (9, 15) [m/rad], and stiffnesses, shape (9,) [N/m].
+        Rows J with length = J q, shape (14, 15) [m/rad], and stiffnesses, shape (14,) [N/m].
     """
-    digits = hand.digits.values()
+    digits = list(hand.digits.values())
     segments = [(digit, index) for digit in digits for index in range(len(digit.joints) - 1)]
-    rows = np.zeros((len(segments), len(JOINTS)))
-    for row, (digit, index) in zip(rows, segments, strict=True):
+    rows = np.zeros((COUPLINGS + len(digits), len(JOINTS)))
+    for row, (digit, index) in zip(rows, segments, strict=False):
         row[JOINT_INDEX[digit.joints[index]]] = digit.joint_radius[index]
         row[JOINT_INDEX[digit.joints[index + 1]]] = -digit.joint_radius[index + 1]
-    return rows, np.concatenate([digit.segment_stiffness for digit in digits])
-
-
-def spring_rows(hand: Hand) -> tuple[Array, Array]:
-    """The restoring springs: excursion = J q, shape (5, 15) [m/rad], and stiffnesses, shape (5,)
-    [N/m]. Eq. (10).
-    """
-    rows = np.zeros((len(hand.digits), len(JOINTS)))
-    for row, digit in zip(rows, hand.digits.values(), strict=True):
+    for row, digit in zip(rows[COUPLINGS:], digits, strict=True):
         row[[JOINT_INDEX[name] for name in digit.joints]] = digit.joint_radius
-    return rows, np.array([digit.spring_stiffness for digit in hand.digits.values()])
+    springs = [digit.spring_stiffness for digit in digits]
+    return rows, np.concatenate([*(digit.segment_stiffness for digit in digits), springs])
 
 
 def drive_arms(hand: Hand) -> Array:
@@ -92,7 +87,7 @@ def viscosities(hand: Hand, inertia: Array, ratio: float) -> tuple[Array, Array]
         the CMC [N·m·s/rad], and their mobilities 1/m [1/kg, 1/(kg·m²)], shapes (15,).
     """
     compliance = np.linalg.inv(inertia)
-    rows, stiffness = coupling_rows(hand)
+    rows, stiffness = (element[:COUPLINGS] for element in element_rows(hand))
     coupling = np.einsum("ij,jk,ik->i", rows, compliance, rows)
     drive = drive_arms(hand) ** 2 * compliance[ROOTS, ROOTS]
     mobility = np.hstack([coupling, drive, compliance[_CMC_JOINT, _CMC_JOINT]])
@@ -208,22 +203,24 @@ class Tendons:
         self.fastest = float((viscosity * mobility).max()) * dt
         viscosity *= 2 * damping.ratio
         viscosity /= 1 + viscosity * dt * mobility
-        rows, stiffness = coupling_rows(hand)
-        springs, spring_stiffness = spring_rows(hand)
-        self._spring_torque = springs.T @ (spring_stiffness[:, None] * springs)
-        stiffness_matrix = rows.T @ (stiffness[:, None] * rows) + self._spring_torque
-        viscosity_matrix = rows.T @ (viscosity[: len(rows), None] * rows) + damping.joint * np.eye(
+        rows, stiffness = element_rows(hand)
+        forces = stiffness[:, None] * rows
+        springs = rows[COUPLINGS:]
+        rows = rows[:COUPLINGS]
+        self._coupling = forces[:COUPLINGS]
+        self._spring_torque = springs.T @ forces[COUPLINGS:]
+        stiffness_matrix = rows.T @ self._coupling + self._spring_torque
+        viscosity_matrix = rows.T @ (viscosity[:COUPLINGS, None] * rows) + damping.joint * np.eye(
             len(JOINTS)
         )
         self._linear = -np.hstack([stiffness_matrix, viscosity_matrix])
-        self._coupling = stiffness[:, None] * rows
         self._levers = np.abs(rows).T
         self._state = np.empty(2 * len(JOINTS))
 
         slacks, shares = (
             np.broadcast_to(given, len(hand.digits)).tolist() for given in (slack, strength)
         )
-        *damped, self._cmc_viscosity = viscosity[len(rows) :].tolist()
+        *damped, self._cmc_viscosity = viscosity[COUPLINGS:].tolist()
         self.drives = tuple(
             replace(Drive.of(*given), viscosity=value, brake=damping.overrun * value)
             for *given, value in zip(hand.digits.values(), slacks, shares, damped, strict=True)
