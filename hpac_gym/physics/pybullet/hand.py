@@ -37,22 +37,6 @@ _LOAD_FLAGS = (
 )
 
 
-def _load(world: World, geometry: Geometry, on_wrist: bool, orientation: ArrayLike) -> int:
-    """Load the body of a hand into a world; returns its number."""
-    flags = _LOAD_FLAGS if world.visuals else _LOAD_FLAGS | pybullet.URDF_IGNORE_VISUAL_SHAPES
-    with TemporaryDirectory() as folder:  # PyBullet loads from files only
-        file = Path(folder, "hand.urdf")
-        file.write_text(_urdf(geometry, on_wrist), encoding="utf-8")
-        return pybullet.loadURDF(
-            str(file),
-            list(HAND_POSITION),
-            list(orientation),
-            useFixedBase=True,
-            flags=flags,
-            physicsClientId=world.client,
-        )
-
-
 class SimHand:
     """One hand in a `World`, at `HAND_POSITION`.
 
@@ -76,7 +60,18 @@ class SimHand:
     ) -> None:
         self.world = world
         self._client = world.client
-        self.body = _load(world, geometry, on_wrist, orientation)
+        flags = _LOAD_FLAGS if world.visuals else _LOAD_FLAGS | pybullet.URDF_IGNORE_VISUAL_SHAPES
+        with TemporaryDirectory() as folder:  # PyBullet loads from files only
+            file = Path(folder, "hand.urdf")
+            file.write_text(_urdf(geometry, on_wrist), encoding="utf-8")
+            self.body = pybullet.loadURDF(
+                str(file),
+                list(HAND_POSITION),
+                list(orientation),
+                useFixedBase=True,
+                flags=flags,
+                physicsClientId=world.client,
+            )
         info = [
             pybullet.getJointInfo(self.body, index, self._client)
             for index in range(pybullet.getNumJoints(self.body, self._client))
