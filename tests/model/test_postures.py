@@ -30,20 +30,17 @@ def of(name: str, part: str) -> dict[str, float]:
     return {finger: target[JOINT_INDEX[f"{finger}_{part}"]] for finger in FINGERS}
 
 
-def test_13_target_configurations():
-    """ "13 target configurations shown in (1-13)"."""
-    assert [item.panel for item in POSTURES.values() if item.kind != "grasp"] == list(range(1, 14))
-
-
-def test_16_representative_grasps():
-    """ "An extended set of 16 representative grasps", panels 14 to 29."""
-    assert [item.panel for item in POSTURES.values() if item.kind == "grasp"] == list(range(14, 30))
-
-
-def test_panels_1_to_3_are_the_thumb_oppositions():
-    """ "thumb opposition to the index, middle, and ring fingers (1-3)"."""
-    found = [item.name for item in POSTURES.values() if item.kind == "opposition"]
-    assert found == ["oppose_index", "oppose_middle", "oppose_ring"]
+def test_the_panels_are_the_paper_s():
+    """ "13 target configurations shown in (1-13)": "thumb opposition to the index, middle, and ring
+    fingers (1-3)", "digit gestures 1-8 (8-13)"; "an extended set of 16 representative grasps", panels
+    14 to 29.
+    """
+    assert [item.panel for item in POSTURES.values()] == list(range(1, 30))
+    kinds = [item.kind for item in POSTURES.values()]
+    assert kinds == ["opposition"] * 3 + ["gesture"] * 10 + ["grasp"] * 16
+    names = list(POSTURES)
+    assert names[:3] == ["oppose_index", "oppose_middle", "oppose_ring"]
+    assert all(name.startswith("digit_") for name in names[7:13])
 
 
 @pytest.mark.parametrize("digit", range(1, 9))
@@ -66,31 +63,19 @@ def test_no_two_postures_are_alike(panels, least):
     assert min(np.abs(one - other).max() for one, other in combinations(targets, 2)) > least
 
 
-def test_panels_8_to_13_are_digit_gestures():
-    assert all(
-        item.name.startswith("digit_") for item in POSTURES.values() if 8 <= item.panel <= 13
-    )
-
-
 @pytest.mark.parametrize("name", POSTURES)
-def test_every_target_lies_in_table_1(name):
+def test_a_target_lies_in_table_1_and_the_hand_makes_of_it_what_its_manifold_and_servos_allow(name):
     target = POSTURES[name].target_joint_pos
     assert target.shape == (len(JOINTS),)
     assert (target >= HPAC.joint_min).all()
     assert (target <= HPAC.joint_max).all()
-
-
-@pytest.mark.parametrize("name", POSTURES)
-def test_what_the_hand_makes_of_a_target_is_on_its_manifold_and_in_its_servos_range(name):
-    taken = reach(POSTURES[name].target_joint_pos)
+    taken = reach(target)
     again = reach(np.maximum(taken.joint_pos, 0.0))
     assert again.distance < 1e-9
     assert again.servo == pytest.approx(taken.servo, abs=1e-9)
     assert (taken.servo >= HPAC.servo_min).all()
     assert (taken.servo <= HPAC.servo_max).all()
-    assert taken.distance == pytest.approx(
-        np.linalg.norm(POSTURES[name].target_joint_pos - taken.joint_pos)
-    )
+    assert taken.distance == pytest.approx(np.linalg.norm(target - taken.joint_pos))
     assert taken.distance < 0.4
 
 
