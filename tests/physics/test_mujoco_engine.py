@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from hpac_gym.body.object_models import load_object_models
-from hpac_gym.body.objects import ObjectSpec, Support
+from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.errors import ParameterError
 from hpac_gym.model import HPAC, JOINT_INDEX, joints_from_synergy, servo_from_synergy
 from hpac_gym.physics.engine import (
@@ -29,59 +29,8 @@ from hpac_gym.physics.settings import BODIES, WorldSettings
 from hpac_gym.physics.simulation import resting_object
 from hpac_gym.tasks.grasp import Grasp
 from hpac_gym.tasks.grasp_data import GRASPS, NOMINAL
+from tests.physics.scenes import CLOSED, OPPOSED, PLACE, TARGET, named, primitive, varied
 from tests.processes import ROOT, python
-
-OPPOSED = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.2])
-CLOSED = np.array([0.8, *HPAC.synergy_max[1:5], 1.2])
-PLACE = np.array([0.042, 0.0, 0.105])
-TARGET = np.array([0.042, -0.12, 0.105])
-
-
-def primitive(shape: str = "cylinder", **change) -> SceneSetup:
-    half = {
-        "cylinder": (0.025, 0.025, 0.06),
-        "box": (0.02, 0.025, 0.05),
-        "sphere": (0.028, 0.028, 0.028),
-    }[shape]
-    return replace(SceneSetup(ObjectSpec(shape, half, 0.1, 0.8), PLACE, 0.2, OPPOSED), **change)
-
-
-def named(name: str, **change) -> SceneSetup:
-    model = load_object_models()[name]
-    half = tuple(1.1 * side for side in model.half_extents)
-    return replace(
-        SceneSetup(
-            ObjectSpec(model.shape, half, 1.2 * model.mass, 0.7, name, 1.1), PLACE, 0.0, OPPOSED
-        ),
-        **change,
-    )
-
-
-def varied() -> list[SceneSetup]:
-    """Worlds of every layout, and hands of several kinds."""
-    soft = replace(
-        HPAC,
-        digits={
-            n: replace(d, drive_stiffness=0.8 * d.drive_stiffness) for n, d in HPAC.digits.items()
-        },
-    )
-    slack = replace(
-        BODIES["twin"], slack=(1e-3, 0.0, 5e-4, 0.0, 0.0), joint_friction=2e-3, contact_friction=0.7
-    )
-    return [
-        primitive("cylinder"),
-        primitive("box", hand=soft),
-        primitive("sphere", hand_settings=BODIES["light"]),
-        primitive("cylinder", hand_settings=slack, target=TARGET),
-        named("scissors"),
-        named(
-            "tennis_ball",
-            position=np.array([0.06, 0.0, 0.13]),
-            support=Support((0.03, 0.03), gap=(0.04, 0.04)),
-        ),
-        SceneSetup(None),
-        primitive("sphere", fixed=True, target=TARGET),
-    ]
 
 
 def close(engine: MuJoCoEngine, steps: int = 24, start: int = 0) -> list[SceneState]:
@@ -121,22 +70,6 @@ def alone(index: int) -> bytes:
 
 # The same bits
 # ----------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("threads", [1, 2])
-def test_worlds_do_not_feel_their_neighbours_place_or_threads_or_what_was_before(
-    threads, monkeypatch
-):
-    setups = varied()
-    monkeypatch.setattr(os, "sched_getaffinity", lambda process: range(threads))
-    engine = MuJoCoEngine(len(setups) + 3)
-    order = [*range(len(setups)), 0, 4, 2]
-    for indices in (order, order[::-1]):
-        engine.reset(range(len(indices)), [setups[i] for i in indices])
-        first = engine.state()
-        states = [first, *close(engine)]
-        for world, index in enumerate(indices):
-            assert bits(states, world) == alone(index), f"world {world}, setup {index}"
 
 
 def test_snapshots_of_every_layout_go_on_to_the_bit(begun):
@@ -390,19 +323,19 @@ def test_an_engine_that_is_forgotten_takes_nothing_from_the_pictures_of_another(
     np.testing.assert_array_equal(picture(engine), expected)
 
 
-def test_a_program_may_end_with_an_engine_that_is_open():
-    picture(filmed("box"))
-    script = "from tests.physics.test_mujoco_engine import *; kept = filmed('box'); picture(kept)"
-    done = python("-c", script)
-    assert (done.returncode, done.stderr) == (0, "")
-
-
-def test_triton_is_loaded_before_opengl(tmp_path):
+def test_a_program_may_end_with_an_engine_that_is_open_and_loads_triton_before_opengl(tmp_path):
     """PyTorch for CUDA brings it, and in the other order its LLVM and Mesa's end the process."""
+    picture(filmed("box"))
     (tmp_path / "triton.py").write_text("import sys; print('mujoco.egl' in sys.modules)")
-    script = "from tests.physics.test_mujoco_engine import *; picture(filmed('box'))"
+    script = """
+from hpac_gym.physics.engine import HAND_POSITION, SceneSetup, Viewpoint
+from hpac_gym.physics.mujoco.engine import MuJoCoEngine
+kept = MuJoCoEngine(visuals=True)
+kept.reset([0], [SceneSetup(None)])
+kept.picture(0, Viewpoint(), HAND_POSITION)
+"""
     done = python("-c", script, PYTHONPATH=f"{ROOT}{os.pathsep}{tmp_path}")
-    assert (done.returncode, done.stdout) == (0, "False\n")
+    assert (done.returncode, done.stdout, done.stderr) == (0, "False\n", "")
 
 
 def test_without_opengl_a_picture_is_one_clear_line(begun, monkeypatch):

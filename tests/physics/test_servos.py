@@ -82,22 +82,6 @@ def test_every_world_follows_the_law_of_one_servo_through_commands_and_resets():
         np.testing.assert_array_equal(servos.horn, angle[:, -1])
 
 
-def test_a_world_moves_to_the_bit_as_it_would_alone():
-    def motion(settings: list[ServoSettings], world: int) -> np.ndarray:
-        servos = Servos(len(settings), DT)
-        n = len(settings)
-        servos.reset(range(n), np.zeros((n, 6)), settings)
-        rng = np.random.default_rng(1)
-        tables = []
-        for _ in range(20):
-            servos.command(np.tile(rng.uniform(0.0, 1.5, 6), (n, 1)), 0.05)
-            tables.append(servos.advance(6)[0][world])
-        return np.concatenate(tables)
-
-    for world, settings in enumerate(SETTINGS):
-        np.testing.assert_array_equal(motion(SETTINGS, world), motion([settings], 0))
-
-
 def test_no_step_moves_nothing():
     servos = Servos(1, DT)
     servos.command(np.ones((1, 6)), 0.5)
