@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 
 from hpac_gym.body.geometry import HPAC_GEOMETRY, Geometry
 from hpac_gym.body.objects import ObjectSpec, Support
-from hpac_gym.errors import HpacError, ParameterError
+from hpac_gym.errors import HpacError
 from hpac_gym.model import DIGITS, HPAC, Hand
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.settings import HandSettings
-from hpac_gym.settings import setting
+from hpac_gym.settings import check_bounds, setting
 
 HAND_POSITION = np.array([0.0, 0.0, 0.25])
 """Initial wrist position in the world [m]."""
@@ -225,11 +225,9 @@ class Viewpoint:
         ParameterError: A size or distance that is not positive.
     """
 
-    width: int = 480
-    """[px]"""
-    height: int = 360
-    """[px]"""
-    distance: float = 0.31
+    width: int = setting(480, bounds=(0, np.inf), above=True, unit="px")
+    height: int = setting(360, bounds=(0, np.inf), above=True, unit="px")
+    distance: float = setting(0.31, bounds=(0.0, np.inf), above=True, unit="m")
     """Distance from the target [m]."""
     yaw_deg: float = 160.0
     pitch_deg: float = -20.0
@@ -237,10 +235,7 @@ class Viewpoint:
     """Vertical field of view [deg]."""
 
     def __post_init__(self) -> None:
-        if not (self.width > 0 and self.height > 0 and self.distance > 0):
-            raise ParameterError(
-                f"picture of {self.width}×{self.height} px from {self.distance} m: all three must be positive"
-            )
+        check_bounds(self, "picture")
 
 
 class Engine:

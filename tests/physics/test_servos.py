@@ -123,7 +123,7 @@ def test_no_step_moves_nothing():
         (WorldSettings, "physics_hz", 0, "physics_hz = 0 Hz"),
         (WorldSettings, "torsion", -1.0, "torsion = -1.0 m"),
         (WorldSettings, "wrist_effort", 0.0, "wrist_effort = 0.0 N"),
-        (Viewpoint, "distance", 0.0, "picture of 480×360 px from 0.0 m: all three must be"),
+        (Viewpoint, "distance", 0.0, "picture distance = 0.0 m must be a number"),
     ],
 )
 def test_settings_name_the_bad_value(settings, name, value, message):
