@@ -6,6 +6,7 @@ import warnings
 from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 import pybullet
@@ -29,6 +30,7 @@ FASTEST = 1.4
 """Largest ω dt of a single tendon at which explicit torques are stable: 1.2 in the nominal hand."""
 MAX_JOINT_SPEED = 20.0
 """Joint speed limit: that of a digit that snaps free of another one [rad/s]."""
+_UNDAMPED = {"linearDamping": 0, "angularDamping": 0, "jointDamping": 0}
 _urdf = lru_cache(maxsize=64)(hand_urdf)
 _LOAD_FLAGS = (
     pybullet.URDF_USE_INERTIA_FROM_FILE
@@ -81,12 +83,8 @@ class SimHand:
         for name in JOINTS:
             link = self.joint_index[name]
             inertia = np.array(pybullet.getDynamicsInfo(self.body, link, self._client)[2])
-            pybullet.changeDynamics(
-                self.body,
-                link,
-                localInertiaDiagonal=(inertia + armature_of(name, settings.armature)).tolist(),
-                physicsClientId=self._client,
-            )
+            inertia += armature_of(name, settings.armature)
+            self._change(link, localInertiaDiagonal=inertia.tolist())
         self.part_of_link = {-1: 0} | {
             index: next((part for part, digit in enumerate(PARTS) if name.startswith(digit)), 0)
             for name, index in self.link_index.items()
@@ -106,28 +104,11 @@ class SimHand:
         friction = [settings.joint_friction] * len(self._joints)
         self._brake(self._moving, friction + [0.0] * len(self._slides))
         for index in range(-1, len(self.joint_index)):
-            pybullet.changeDynamics(
-                self.body,
-                index,
-                linearDamping=0,
-                angularDamping=0,
-                jointDamping=0,
-                lateralFriction=settings.contact_friction,
-                physicsClientId=self._client,
-            )
+            self._change(index, **_UNDAMPED, lateralFriction=settings.contact_friction)
         for joint, lower, upper in zip(self._joints, hand.joint_min, hand.joint_max, strict=True):
-            pybullet.changeDynamics(
-                self.body,
-                joint,
-                jointLowerLimit=lower,
-                jointUpperLimit=upper,
-                physicsClientId=self._client,
-            )
-        # Separate call: PyBullet silently ignores lateralFriction if maxJointVelocity is passed
-        # with it.
-        pybullet.changeDynamics(
-            self.body, -1, maxJointVelocity=MAX_JOINT_SPEED, physicsClientId=self._client
-        )
+            self._change(joint, jointLowerLimit=lower, jointUpperLimit=upper)
+        # PyBullet silently ignores lateralFriction if maxJointVelocity is passed with it.
+        self._change(-1, maxJointVelocity=MAX_JOINT_SPEED)
         half_stroke = np.zeros(len(self._moving))
         half_stroke[self._joints] = joints_from_synergy(hand.synergy_max / 2, hand)
         with quiet_output():  # it warns about unit axes that are off in the last bit
@@ -151,6 +132,9 @@ class SimHand:
                 stacklevel=2,
             )
 
+    def _change(self, link: int, **dynamics: Any) -> None:
+        pybullet.changeDynamics(self.body, link, **dynamics, physicsClientId=self._client)
+
     def collide(self, solid: bool) -> None:
         """Enable or disable collisions of the hand. Fingers cannot reach each other, so pairs of
         fingers are never checked.
@@ -162,8 +146,6 @@ class SimHand:
             pybullet.setCollisionFilterGroupMask(
                 self.body, index, group * solid, mask * solid, self._client
             )
-
-    # State ---------------------------------------------------------------------
 
     def reset(self, synergy: ArrayLike) -> None:
         """Reset the hand to rest on its manifold, and the wrist to its start.
@@ -193,8 +175,6 @@ class SimHand:
         count = len(self._joints)
         offset = self._rotation.dot(positions[count:]) if self._slides else np.zeros(3)
         return positions[:count], speeds[:count], offset
-
-    # Motion --------------------------------------------------------------------
 
     def move_wrist(self, offset: list[float]) -> None:
         """Set the palm's target for the end of the next step, reached unless a force above
