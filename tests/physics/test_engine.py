@@ -88,6 +88,7 @@ def digest_alone(engine: str, start: SceneSetup, seed: int, steps: int) -> str:
     simulation = Simulation(make_engine(engine))
     episode = Closing(start, seed)
     simulation.reset([0], [start])
+    episode.take(simulation.state(), 0)
     for _ in range(steps):
         advance(simulation, [episode])
     simulation.engine.close()
@@ -115,6 +116,9 @@ def test_an_episode_is_the_same_to_the_bit_after_others_and_beside_others(name, 
             episodes[world] = Closing(pool[seed], seed)
             lengths[world] = int(rng.integers(12, 22))
         simulation.reset(worlds, [episodes[world].start for world in worlds])
+        state = simulation.state()
+        for world in worlds:
+            episodes[world].take(state, world)
 
     begin([2, 0, 3, 1])
     while left or len(told) < len(pool):
@@ -163,6 +167,9 @@ def test_a_reset_that_was_interrupted_leaves_nothing_behind(name, call, seed, be
                 simulation.reset([0], [other])
         simulation.reset([0], [following])
         episodes = [Closing(following, 0), Closing(start, 0)]
+        first = simulation.state()
+        for world, episode in enumerate(episodes):
+            episode.take(first, world)
         for _ in range(4):
             advance(simulation, episodes)
         for episode in episodes:

@@ -15,7 +15,7 @@ import pytest
 from hpac_gym.body.object_models import load_object_models
 from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.errors import ParameterError
-from hpac_gym.model import HPAC, JOINT_INDEX, joints_from_synergy, servo_from_synergy
+from hpac_gym.model import HPAC, JOINT_INDEX, servo_from_synergy
 from hpac_gym.physics.engine import (
     HAND_POSITION,
     PhysicsError,
@@ -29,7 +29,7 @@ from hpac_gym.physics.settings import BODIES, WorldSettings
 from hpac_gym.physics.simulation import resting_object
 from hpac_gym.tasks.grasp import Grasp
 from hpac_gym.tasks.grasp_data import GRASPS, NOMINAL
-from tests.physics.scenes import CLOSED, OPPOSED, PLACE, TARGET, named, primitive, varied
+from tests.physics.scenes import CLOSED, OPPOSED, TARGET, named, primitive, varied
 from tests.processes import ROOT, python
 
 
@@ -105,16 +105,6 @@ def test_layouts_that_no_world_has_are_forgotten(begun, monkeypatch):
     engine.reset([0], setups[:1])
     first = engine.state()
     assert bits([first, *close(engine)], 0) == alone(0)
-
-
-def test_a_hand_starts_at_rest_on_its_manifold(begun):
-    state = begun("mujoco", primitive(synergy=0.2 * HPAC.synergy_max)).state()
-    np.testing.assert_array_equal(state.joint_pos[0], joints_from_synergy(0.2 * HPAC.synergy_max))
-    np.testing.assert_allclose(state.object_pos[0], PLACE, atol=1e-15)
-    assert not state.joint_vel.any()
-    assert not state.tension.any()
-    # Contacts are those of the last physics step, and there was none.
-    assert not state.supported.any()
 
 
 def test_primitives_and_the_objects_of_all_named_grasps_and_variants_stand_on_their_supports(begun):
