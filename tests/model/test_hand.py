@@ -55,12 +55,14 @@ def test_a_written_hand_is_read_again(tmp_path):
         cmc_gain=0.98,
         digits={**HPAC.digits, "ring": ring},
         sources={"d1": "a caliper", "my note": "kept,\n\x7f too", "größe": "M"},
+        calibration=Calibration((0.01,) * 6, (Friction(1e-3, 0.03), *[Friction(2e-3)] * 4)),
     )
     path = tmp_path / "hand.toml"
     for hand in (HPAC, changed):
         path.write_text(hand_to_toml(hand), encoding="utf-8")
         assert load_hand(path) == hand
         assert dict(load_hand(path).sources) == dict(hand.sources)
+    assert "[calibration]" not in hand_to_toml(HPAC)
 
 
 def test_a_hand_with_numbers_and_arrays_of_numpy_is_a_hand_like_any_other():

@@ -125,12 +125,6 @@ def test_the_calibrated_command_of_a_hand_without_any_of_it_is_eq_15():
     )
 
 
-def test_a_calibration_is_written_and_read_again():
-    again = hand_from_toml(hand_to_toml(CALIBRATED), "text")
-    assert again.calibration == CALIBRATED.calibration
-    assert "[calibration]" not in hand_to_toml(HPAC)
-
-
 CALIBRATION_FAULTS = [
     ("servo_zero = [", "servo_zero = [0.1, ", r"servo_zero = .* rad must be 6 values within"),
     ("joint_friction = [0.001", "joint_friction = [-0.001", "joint = -0.001 N·m must be a number"),

@@ -7,6 +7,7 @@ import hashlib
 import importlib.util
 import os
 import pkgutil
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -83,53 +84,53 @@ def advance(simulation: Simulation, episodes: list[Closing]) -> None:
         episode.take(state, world)
 
 
+def begin(simulation: Simulation, episodes: dict[int, Closing]) -> None:
+    """The start of episodes in some worlds."""
+    simulation.reset(list(episodes), [episode.start for episode in episodes.values()])
+    state = simulation.state()
+    for world, episode in episodes.items():
+        episode.take(state, world)
+
+
 def digest_alone(engine: str, start: SceneSetup, seed: int, steps: int) -> str:
     """A hash over all states of one episode in a new engine of one world."""
-    simulation = Simulation(make_engine(engine))
-    episode = Closing(start, seed)
-    simulation.reset([0], [start])
-    episode.take(simulation.state(), 0)
-    for _ in range(steps):
-        advance(simulation, [episode])
-    simulation.engine.close()
+    with closing(make_engine(engine)) as physics:
+        simulation = Simulation(physics)
+        episode = Closing(start, seed)
+        begin(simulation, {0: episode})
+        for _ in range(steps):
+            advance(simulation, [episode])
     return episode.digest.hexdigest()
 
 
 @engines
-def test_an_episode_is_the_same_to_the_bit_after_others_and_beside_others(name, monkeypatch):
+def test_an_episode_is_the_same_to_the_bit_after_others_and_beside_others(name, begun, monkeypatch):
     """Worlds whose episodes begin and end at different times, of every layout and with several hands,
     with visual shapes and two threads, against new engines of one world.
     """
     monkeypatch.setattr(os, "sched_getaffinity", lambda process: range(2))
-    simulation = Simulation(make_engine(name, 4, visuals=True))
+    simulation = begun(name, *[SceneSetup(None)] * 4, visuals=True)
     rng = np.random.default_rng(0)
     pool = [with_a_hand(setup(grasp, seed), seed) for seed, grasp in enumerate(NAMES)]
     pool += [start for start in varied() if name == "mujoco" or not start.hand_settings.hub_inertia]
-    left = list(rng.permutation(len(pool)))
-    episodes = {}
+    order = [*rng.permutation(len(pool)), *rng.permutation(len(pool))[:4]]
+    due = [Closing(pool[index], index) for index in order]
+    episodes: dict[int, Closing] = {}
     lengths = {}
+    over = [2, 0, 3, 1]
     told = []
-
-    def begin(worlds: list[int]) -> None:
-        for world in worlds:
-            seed = left.pop() if left else int(rng.integers(len(pool)))
-            episodes[world] = Closing(pool[seed], seed)
-            lengths[world] = int(rng.integers(12, 22))
-        simulation.reset(worlds, [episodes[world].start for world in worlds])
-        state = simulation.state()
-        for world in worlds:
-            episodes[world].take(state, world)
-
-    begin([2, 0, 3, 1])
-    while left or len(told) < len(pool):
-        advance(simulation, [episodes[world] for world in range(4)])
-        over = [world for world in range(4) if episodes[world].step == lengths[world]]
-        told += [(episodes[world], lengths[world]) for world in over]
-        if over:
-            begin(over)
-    simulation.engine.close()
-    for episode, steps in told:
-        alone = digest_alone(name, episode.start, episode.seed, steps)
+    while len(told) < len(pool):
+        started = {world: due.pop() for world in over}
+        lengths |= {world: int(rng.integers(12, 22)) for world in over}
+        begin(simulation, started)
+        episodes |= started
+        over = []
+        while not over:
+            advance(simulation, [episodes[world] for world in range(4)])
+            over = [world for world in range(4) if episodes[world].step == lengths[world]]
+        told += [episodes[world] for world in over]
+    for episode in told:
+        alone = digest_alone(name, episode.start, episode.seed, episode.step)
         assert episode.digest.hexdigest() == alone, f"setup {episode.seed}"
 
 
@@ -324,7 +325,7 @@ def test_a_push_at_the_centre_of_mass_accelerates_by_force_over_mass_and_turns_n
 
 
 @engines
-def test_no_push_and_a_push_of_nothing_are_the_same_bits(name):
+def test_no_push_and_a_push_of_nothing_are_the_same_bits(name, begun):
     """A closing hand; the push comes and goes before a reset, in a world beside another layout, a
     fixed object and none.
     """
@@ -335,7 +336,7 @@ def test_no_push_and_a_push_of_nothing_are_the_same_bits(name):
         setup("scissors", 1),
         Posture().setup(np.random.default_rng(0)),
     ]
-    simulation = Simulation(make_engine(name, len(starts)))
+    simulation = begun(name, *starts)
     found = []
     wrist = np.zeros((len(starts), 24, 3))
     for push in (None, np.zeros_like(wrist), np.ones_like(wrist), None):
@@ -356,7 +357,6 @@ def test_no_push_and_a_push_of_nothing_are_the_same_bits(name):
         True,
         False,
     ]
-    simulation.engine.close()
 
 
 @engines
