@@ -23,7 +23,6 @@ from hpac_gym.physics.engine import (
     SceneState,
     Viewpoint,
 )
-from hpac_gym.physics.mujoco import camera
 from hpac_gym.physics.mujoco.engine import MuJoCoEngine
 from hpac_gym.physics.settings import BODIES, WorldSettings
 from hpac_gym.physics.simulation import resting_object
@@ -332,7 +331,7 @@ def test_without_opengl_a_picture_is_one_clear_line(begun, monkeypatch):
     def broken() -> type:
         raise AttributeError("'NoneType' object has no attribute\n'eglQueryDevicesEXT'")
 
-    monkeypatch.setattr(camera, "_gl_context", broken)
+    monkeypatch.setattr("hpac_gym.physics.mujoco.engine._gl_context", broken)
     engine = begun("mujoco", primitive()).engine
     with pytest.raises(
         PhysicsError, match=r"no OpenGL for pictures \(AttributeError: .*\): install .*libegl1"

@@ -1,10 +1,14 @@
-"""Physics of n worlds in MuJoCo: one batch per layout, without Python code between physics
-steps.
+"""Physics of n worlds in MuJoCo: one batch per layout, without Python code between physics steps; and
+their pictures, through EGL on Linux, where a software driver suffices.
 """
 
 import os
+import sys
+import weakref
 from collections.abc import Sequence
 from dataclasses import fields
+from importlib import import_module
+from importlib.util import find_spec
 from operator import itemgetter
 from typing import Any
 
@@ -22,7 +26,6 @@ from hpac_gym.physics.engine import (
     SceneState,
     Viewpoint,
 )
-from hpac_gym.physics.mujoco.camera import Camera
 from hpac_gym.physics.mujoco.group import Group, Rows
 from hpac_gym.physics.mujoco.model import Layout
 from hpac_gym.physics.settings import HandSettings, WorldSettings
@@ -31,6 +34,10 @@ GROUPS_KEPT = 32
 """Number of layouts beyond which those that no world has are forgotten: every mesh has its own, and
 the sets of objects have fewer than ten.
 """
+
+
+MAX_SHAPES = 500
+"""Capacity of one rendered scene; the scene with the most solids and walls uses a third of it."""
 
 
 class MuJoCoEngine(Engine):
@@ -202,3 +209,81 @@ class MuJoCoEngine(Engine):
         self._groups.clear()
         self._rows.clear()
         self._group_of = [None] * self.num_worlds
+
+
+class Camera:
+    """One OpenGL context for all images of an engine, current only while it is used: so any thread
+    may use and collect it, and what another camera frees is never this one's.
+
+    Args:
+        model: any model of the engine; they share their textures.
+
+    Raises:
+        PhysicsError: OpenGL is not available.
+
+    Attributes:
+        close: releases the context; so does garbage collection, and the program's end.
+    """
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        if find_spec("triton"):  # comes with PyTorch for CUDA; it and Mesa each bring an LLVM,
+            import_module("triton")  # and loaded after a picture it ends the process
+        try:
+            self._context = _gl_context()(640, 480)
+            with self._context.as_current():
+                self._renderer = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
+        except Exception as error:  # PyOpenGL and its drivers may raise anything
+            reason = " ".join(f"{type(error).__name__}: {error}".split())
+            raise PhysicsError(
+                f"no OpenGL for pictures ({reason}): install mujoco-core[rendering] and, on Debian, libegl1 and libgl1-mesa-dri"
+            ) from None
+        self.close = weakref.finalize(self, _free, self._context, self._renderer)
+
+    def picture(
+        self, model: mujoco.MjModel, data: mujoco.MjData, view: Viewpoint, target: Array
+    ) -> NDArray[np.uint8]:
+        """RGB image of a model whose kinematics are up to date, shape (height, width, 3)."""
+        camera = mujoco.MjvCamera()
+        camera.lookat[:] = target
+        camera.distance = view.distance
+        camera.azimuth = view.yaw_deg + 90.0
+        camera.elevation = view.pitch_deg
+        model.vis.global_.fovy = view.field_of_view_deg
+        scene = mujoco.MjvScene(model, MAX_SHAPES)
+        mujoco.mjv_updateScene(
+            model,
+            data,
+            mujoco.MjvOption(),
+            mujoco.MjvPerturb(),
+            camera,
+            mujoco.mjtCatBit.mjCAT_ALL.value,
+            scene,
+        )
+        scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = (
+            False  # shadows take three quarters of the rendering time without a GPU
+        )
+        pixels = np.empty((view.height, view.width, 3), np.uint8)
+        rectangle = mujoco.MjrRect(0, 0, view.width, view.height)
+        with self._context.as_current():
+            mujoco.mjr_resizeOffscreen(view.width, view.height, self._renderer)
+            mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._renderer)
+            mujoco.mjr_render(rectangle, scene, self._renderer)
+            mujoco.mjr_readPixels(pixels, None, rectangle, self._renderer)
+        return pixels[::-1].copy()
+
+
+def _free(context: Any, renderer: mujoco.MjrContext) -> None:
+    with context.as_current():
+        renderer.free()
+    context.free()
+
+
+def _gl_context() -> type:
+    """Context class that MUJOCO_GL selects; without that variable EGL on Linux, where MuJoCo's
+    default needs a display.
+    """
+    if sys.platform == "linux" and not os.environ.get("MUJOCO_GL"):
+        from mujoco.egl import GLContext
+    else:
+        from mujoco.gl_context import GLContext
+    return GLContext
