@@ -7,7 +7,6 @@ import math
 import tomllib
 from collections.abc import Iterable
 from importlib.resources import files
-from itertools import zip_longest
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ from hpac_gym.model.calibration import Calibration, Friction
 from hpac_gym.model.joints import DIGITS, JOINTS
 from hpac_gym.model.parameters import Digit, Hand
 from hpac_gym.output import read_text
+from hpac_gym.settings import are_numbers
 
 SCHEMA = 1
 """Version of the hand file that this code reads."""
@@ -93,7 +93,7 @@ def _hand_from_table(table: dict[str, Any]) -> Hand:
     table = {"name": "unnamed", "calibration": None} | table
     _table(table, (*_TOP, "calibration"), "the file")
     digits = _table(table["digits"], DIGITS, "[digits]")
-    for key, text in table["sources"].items():
+    for key, text in dict(table["sources"]).items():
         if not isinstance(text, str):
             raise ParameterError(f"[sources] {key} must be text, not {text!r}")
     hand = Hand(
@@ -115,15 +115,25 @@ def _hand_from_table(table: dict[str, Any]) -> Hand:
 
 def _digit(name: str, given: Any) -> Digit:
     table = dict(_table(given, (*_DIGIT, "alpha_deg"), f"digit {name}"))
-    return Digit(name=name, alpha=math.radians(table.pop("alpha_deg")), **table)
+    degrees = table.pop("alpha_deg")
+    if not are_numbers([degrees], 1):
+        raise ParameterError(f"digit {name} alpha_deg = {degrees!r} must be a number")
+    return Digit(name=name, alpha=math.radians(degrees), **table)
 
 
 def _calibration(given: Any) -> Calibration:
     if given is None:
         return Calibration()
-    table = _table(given, ("servo_zero", "joint_friction", "tendon_friction"), "[calibration]")
-    frictions = zip_longest(table["joint_friction"], table["tendon_friction"])
-    return Calibration(table["servo_zero"], tuple(Friction(*numbers) for numbers in frictions))
+    columns = ("joint_friction", "tendon_friction")
+    table = _table(given, ("servo_zero", *columns), "[calibration]")
+    for key in columns:
+        if not are_numbers(table[key], len(DIGITS)):
+            raise ParameterError(
+                f"[calibration] {key} = {table[key]!r} must be {len(DIGITS)} numbers"
+            )
+    return Calibration(
+        table["servo_zero"], tuple(map(Friction, table["joint_friction"], table["tendon_friction"]))
+    )
 
 
 def _table(given: Any, known: Iterable[str], owner: str) -> dict[str, Any]:

@@ -164,6 +164,12 @@ FAULTS = [
         r"thumb path_length = 0\.05 m must be values",
     ),
     (
+        "text for an angle",
+        r"^alpha_deg = 150.0",
+        'alpha_deg = "wide"',
+        r"thumb alpha_deg = 'wide' must be a number",
+    ),
+    (
         "angle too wide",
         r"^alpha_deg = 150.0",
         "alpha_deg = 181.0",

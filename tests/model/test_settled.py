@@ -129,7 +129,11 @@ CALIBRATION_FAULTS = [
     ("servo_zero = [", "servo_zero = [0.1, ", r"servo_zero = .* rad must be 6 values within"),
     ("joint_friction = [0.001", "joint_friction = [-0.001", "joint = -0.001 N·m must be a number"),
     ("joint_friction = [0.001", "joint_friction = [1000.0", r"joint = 1000.0 N·m must be .*, 1\]"),
-    ("tendon_friction = [0.03, ", "tendon_friction = [", "tendon = None must be a number within"),
+    (
+        "tendon_friction = [0.03, ",
+        "tendon_friction = [",
+        r"\[calibration\] tendon_friction = \[.*\] must be 5 numbers",
+    ),
     ("tendon_friction = [0.03", "tendon_friction = [1.0", r"tendon = 1.0 must be .* \[0, 0.999\]"),
     ("servo_zero = [0.0", "servo_zero = [-5.0", r"servo_zero = .* rad must be 6 values within"),
     (
