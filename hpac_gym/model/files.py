@@ -13,7 +13,7 @@ from typing import Any
 
 from hpac_gym.errors import ParameterError
 from hpac_gym.model.calibration import Calibration, Friction
-from hpac_gym.model.joints import DIGITS, JOINTS
+from hpac_gym.model.joints import DIGITS
 from hpac_gym.model.parameters import Digit, Hand
 from hpac_gym.output import read_text
 from hpac_gym.settings import are_numbers
@@ -92,14 +92,13 @@ def _hand_from_table(table: dict[str, Any]) -> Hand:
         raise ParameterError(f"schema {table.get('schema')!r} is not {SCHEMA}")
     table = {"name": "unnamed", "calibration": None} | table
     _table(table, (*_TOP, "calibration"), "the file")
-    digits = _table(table["digits"], DIGITS, "[digits]")
     for key, text in dict(table["sources"]).items():
         if not isinstance(text, str):
             raise ParameterError(f"[sources] {key} must be text, not {text!r}")
     hand = Hand(
         name=str(table["name"]),
-        digits={name: _digit(name, digits[name]) for name in DIGITS},
-        workspace=_table(table["workspace"], JOINTS, "[workspace]"),
+        digits={name: _digit(name, given) for name, given in dict(table["digits"]).items()},
+        workspace=table["workspace"],
         **_table(table["servo"], ("rate_limit",), "[servo]"),
         **_table(table["cmc"], _CMC, "[cmc]"),
         sources=table["sources"],

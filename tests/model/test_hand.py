@@ -197,7 +197,7 @@ FAULTS = [
         "missing digit",
         r"^\[digits\.pinky\][^[]*(\[[^[]*)*?(?=^\[workspace)",
         "",
-        r"\[digits\] is missing or does not know pinky",
+        r"digits is missing or does not know pinky",
     ),
     ("missing table", r"^\[cmc\]\n(^cmc.*\n)+", "", r"the file is missing or does not know cmc"),
     ("wrong schema", r"^schema = 1", "schema = 2", r"schema 2 is not 1"),
@@ -207,7 +207,7 @@ FAULTS = [
         "unknown joint",
         r"^ring_pip = ",
         "ring_pop = ",
-        r"\[workspace\] is missing or does not know ring_pip, ring_pop",
+        r"workspace is missing or does not know ring_pip, ring_pop",
     ),
     (
         "bounds upside down",
