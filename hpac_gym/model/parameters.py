@@ -178,7 +178,7 @@ class Hand:
                     f"hand {self.name}: workspace of {joint} = {bounds} rad must be [min, max]"
                 )
             workspace[joint] = tuple(bounds)
-        mappings = {
+        mappings: dict[str, dict[str, Any]] = {
             "digits": {name: self.digits[name] for name in DIGITS},
             "workspace": workspace,
             "sources": dict(self.sources),
