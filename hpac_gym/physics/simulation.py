@@ -55,15 +55,14 @@ class Simulation:
         for setup in setups:
             self.engine.require(setup.hand_settings)
         horn = [servo_from_synergy(setup.synergy, setup.hand) for setup in setups]
-        settings = [setup.hand_settings for setup in setups]
         self.engine.reset(
             worlds, [_held(setup, servo) for setup, servo in zip(setups, horn, strict=True)]
         )
         self.servos.reset(
             worlds,
             horn,
-            [given.servo for given in settings],
-            [given.servo_zero for given in settings],
+            [setup.hand_settings.servo for setup in setups],
+            [setup.hand_settings.servo_zero for setup in setups],
         )
 
     def command(self, servo: Array, duration: float) -> None:

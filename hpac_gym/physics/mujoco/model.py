@@ -99,9 +99,9 @@ def build(
     """
     hand = HandSettings(armature=layout.armature)
     root = Xml.fromstring(hand_mjcf(geometry, hand, on_wrist=layout.object is not None))
-    option = root.find("option")
     world = root.find("worldbody")
     actuators = root.find("actuator")
+    option = root.find("option")
     option.attrib |= {
         "timestep": exact_text([settings.dt]),
         "gravity": exact_text([0, 0, -settings.gravity]),

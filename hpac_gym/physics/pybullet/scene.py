@@ -71,13 +71,11 @@ class Scene:
         centre = HAND_POSITION + self.to_hand.T @ setup.position
         orientation, _ = setup.object_turn
         self.object = SimObject(self.world, setup.object, centre, orientation, setup.fixed)
-        if (
-            torsion := self.world.settings.torsion
-        ):  # Bullet multiplies it by the other body's lateral friction
-            spinning = torsion / setup.hand_settings.contact_friction
-            pybullet.changeDynamics(
-                self.object.body, -1, spinningFriction=spinning, physicsClientId=self.world.client
-            )
+        # Bullet multiplies it by the other body's lateral friction.
+        spinning = (self.world.settings.torsion or 0.0) / setup.hand_settings.contact_friction
+        pybullet.changeDynamics(
+            self.object.body, -1, spinningFriction=spinning, physicsClientId=self.world.client
+        )
         for box in () if setup.fixed else support_boxes(setup, matrix):
             body = add_fixed_box(
                 self.world, box.half_extents, box.centre, COLORS[box.kind], box.quaternion
