@@ -1,13 +1,13 @@
 """Setups of every layout of a scene, with hands of several kinds."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 
 from hpac_gym.body.object_models import load_object_models
 from hpac_gym.body.objects import ObjectSpec, Support
-from hpac_gym.model import HPAC, scaled_hand
-from hpac_gym.physics.engine import SceneSetup
+from hpac_gym.model import HPAC, scaled_hand, servo_from_synergy
+from hpac_gym.physics.engine import Engine, SceneSetup, SceneState
 from hpac_gym.physics.settings import BODIES
 
 OPPOSED = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.2])
@@ -36,13 +36,13 @@ def named(name: str, **change) -> SceneSetup:
     )
 
 
-def varied() -> list[SceneSetup]:
-    """Worlds of every layout, and hands of several kinds."""
+def varied(engine: str = "mujoco") -> list[SceneSetup]:
+    """Worlds of every layout, and hands of every kind that an engine has."""
     soft = scaled_hand(HPAC, {"drive_stiffness": 0.8})
     slack = replace(
         BODIES["twin"], slack=(1e-3, 0.0, 5e-4, 0.0, 0.0), joint_friction=2e-3, contact_friction=0.7
     )
-    return [
+    setups = [
         primitive("cylinder"),
         primitive("box", hand=soft),
         primitive("sphere", hand_settings=BODIES["light"]),
@@ -56,3 +56,24 @@ def varied() -> list[SceneSetup]:
         SceneSetup(None),
         primitive("sphere", fixed=True, target=TARGET),
     ]
+    return [item for item in setups if engine == "mujoco" or not item.hand_settings.hub_inertia]
+
+
+def close(engine: Engine, steps: int = 24, push: np.ndarray | None = None) -> list[SceneState]:
+    """States of every hand on its way to a fist, 5 mm further from its start."""
+    n = engine.num_worlds
+    servo = np.tile(servo_from_synergy(CLOSED), (n, 6, 1))
+    states = []
+    for _ in range(steps):
+        engine.advance(servo, np.zeros((n, 6, 6)), np.full((n, 6, 3), 5e-3), push)
+        states.append(engine.state())
+    return states
+
+
+def bits(states: list[SceneState], world: int) -> bytes:
+    """All numbers of a world."""
+    return b"".join(
+        np.ascontiguousarray(getattr(state, f.name)[world]).tobytes()
+        for state in states
+        for f in fields(SceneState)
+    )

@@ -14,12 +14,11 @@ import pytest
 from hpac_gym.body.object_models import load_object_models
 from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.errors import ParameterError
-from hpac_gym.model import HPAC, JOINT_INDEX, servo_from_synergy
+from hpac_gym.model import HPAC, JOINT_INDEX
 from hpac_gym.physics.engine import (
     HAND_POSITION,
     PhysicsError,
     SceneSetup,
-    SceneState,
     Viewpoint,
 )
 from hpac_gym.physics.mujoco.engine import MuJoCoEngine
@@ -27,52 +26,8 @@ from hpac_gym.physics.settings import BODIES, WorldSettings
 from hpac_gym.physics.simulation import resting_object
 from hpac_gym.tasks.grasp import Grasp
 from hpac_gym.tasks.grasp_data import GRASPS, NOMINAL
-from tests.physics.scenes import CLOSED, TARGET, named, primitive, varied
+from tests.physics.scenes import TARGET, bits, close, named, primitive, varied
 from tests.processes import ROOT, python
-
-
-def close(engine: MuJoCoEngine, steps: int = 24) -> list[SceneState]:
-    """States of every hand on its way to a fist, 5 mm further from its start."""
-    n = engine.num_worlds
-    servo = np.tile(servo_from_synergy(CLOSED), (n, 6, 1))
-    states = []
-    for _ in range(steps):
-        engine.advance(servo, np.zeros((n, 6, 6)), np.full((n, 6, 3), 5e-3))
-        states.append(engine.state())
-    return states
-
-
-def bits(states: list[SceneState], world: int) -> bytes:
-    return b"".join(
-        np.ascontiguousarray(getattr(state, f.name)[world]).tobytes()
-        for state in states
-        for f in fields(SceneState)
-    )
-
-
-# The same bits
-# ----------------------------------------------------------------------------------------------------
-
-
-def test_snapshots_of_every_layout_go_on_to_the_bit(begun):
-    setups = varied()
-    engine = begun("mujoco", *setups).engine
-    worlds = range(len(setups))
-    close(engine, 12)
-    snapshots = [engine.save(world) for world in worlds]
-    seen = engine.state()
-    wanted = close(engine, 6)
-    for world in worlds:
-        engine.restore(world, snapshots[world])
-    restored = engine.state()
-    found = close(engine, 6)
-    for world in worlds:
-        assert bits([restored], world) == bits([seen], world), f"setup {world}"
-        assert bits(found, world) == bits(wanted, world), f"setup {world}"
-
-
-# Scenes as they are asked for
-# -------------------------------------------------------------------------------------
 
 
 def test_layouts_that_no_world_has_are_forgotten(begun, monkeypatch):
