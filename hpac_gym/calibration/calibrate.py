@@ -26,7 +26,7 @@ from hpac_gym.calibration.samples import HELD_OUT_EVERY
 from hpac_gym.figures import require, save
 from hpac_gym.model import Hand, hand_to_toml, load_hand
 from hpac_gym.model.files import hand_from_toml
-from hpac_gym.output import OutputError, replacing, writable_file
+from hpac_gym.output import OutputError, replacing, writable_file, writable_folder
 
 OUT = Path("runs/calibrate/hand.toml")
 _IDENTIFIED = (
@@ -110,6 +110,8 @@ def run(arguments: argparse.Namespace) -> int:
             )
     writable_file(arguments.out)
     folder = report_folder(arguments.out)
+    if folder.exists():
+        writable_folder(folder)
     identified = identify(
         record, base, arguments.spread, arguments.radii_known, True, shown=True, draws=DRAWS
     )
