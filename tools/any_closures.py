@@ -27,6 +27,12 @@ TRIES = (1, 4, 16, 64)
 WORLDS = 64
 
 
+def worlds_of(objects: str) -> HandVectorEnv:
+    """Worlds for the episodes of a split of objects."""
+    task = GraspAny(objects, config=GraspAnyConfig(side_time=0.05, ramp_time=0.05))
+    return HandVectorEnv(task, WORLDS, "Disabled", engine="mujoco")
+
+
 def played(envs: HandVectorEnv, seeds: Sequence[int], decisions: NDArray) -> NDArray[np.bool_]:
     """Run the episodes of seeds, each with the closure of its decision, shape (len(seeds), 8), and
     return their successes, shape (len(seeds),).
@@ -81,9 +87,7 @@ def main(argv: list[str] | None = None) -> None:
     )
     args = parser.parse_args(argv)
     seeds = range(args.seed_start, args.seed_start + args.episodes)
-    task = GraspAny(args.objects, config=GraspAnyConfig(side_time=0.05, ramp_time=0.05))
-    envs = HandVectorEnv(task, WORLDS, "Disabled", engine="mujoco")
-    tries_of = first_winners(partial(played, envs), seeds, TRIES[-1])
+    tries_of = first_winners(partial(played, worlds_of(args.objects)), seeds, TRIES[-1])
     for most in TRIES:
         won = sum(tries <= most for tries in tries_of.values())
         print(

@@ -5,7 +5,7 @@ Nothing that is no grasp is paid as well as the script, and no failure as well a
 holds some of the real objects, and closures that are drawn at random for an episode until one holds,
 most of them."""
 
-from functools import cache
+from functools import cache, partial
 
 import gymnasium
 import numpy as np
@@ -18,7 +18,7 @@ from hpac_gym.policies.policy import EpisodePolicy
 from hpac_gym.registration import GRASP_ANY, GRASP_TYPE
 from hpac_gym.tasks.placing import WRIST_REACH
 from hpac_gym.tasks.task import CONTROL_HZ
-from tools.any_closures import Player, first_winners
+from tools.any_closures import first_winners, played as closures_played, worlds_of
 
 pytestmark = pytest.mark.slow
 TRIES = 64
@@ -148,6 +148,6 @@ def test_most_real_objects_can_be_held():
     """By a closure that is drawn at random, one after the other, until one holds the object of an
     episode.
     """
-    found = first_winners(Player("real"), range(48), TRIES)
+    found = first_winners(partial(closures_played, worlds_of("real")), range(48), TRIES)
     print(f"real: the best of {TRIES} closures holds {len(found)} of 48")
     assert len(found) >= 0.85 * 48
