@@ -81,7 +81,7 @@ def test_a_vector_shows_its_first_environment_and_a_posture_its_goal(show, opene
     np.testing.assert_array_equal(shown.joint_pos, state.joint_pos[0])
     np.testing.assert_array_equal(shown.goal, envs.unwrapped.episodes.setups[0].goal)
     assert shown.object_rotation is None
-    assert not [name for name in nodes(envs) if name.startswith("/scene/object")]
+    assert not [name for name in nodes(envs) if name.startswith("/scene/object/")]
     page = envs.unwrapped.episodes.pictures.page
     assert page._ghosts["goal"].palm.visible
     assert not page._ghosts["elastic"].palm.visible
