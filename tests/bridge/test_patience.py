@@ -151,6 +151,14 @@ def test_a_stopped_program_leaves_the_fault_even_if_the_stops_sender_reads_its_a
         assert link.status().fault == "estop"
 
 
+def test_the_last_words_to_a_stopped_hand_that_is_silent_leave_the_fault_latched():
+    exchange = Mock(**{"request.side_effect": LinkTimeout("no answer")})
+    exchange.transport.now.side_effect = range(100)
+    exchange.known = Mock(in_fault=True, may_have_power=True, fault="estop")
+    connection.release(exchange, True, 0.1)
+    assert {call.args[0] for call in exchange.request.call_args_list} == {"status", "estop"}
+
+
 def test_an_ack_of_another_message_is_no_answer(virtual_hand):
     def confused(data):
         fields = {"acked": MESSAGES["move"].code, "reason": 0, "servo": 255, "state": 2}
