@@ -54,6 +54,8 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 def keep(path: Path, beside: Callable[[Path], Path] = Path) -> None:
     """Move a file, and the one `beside` it, out of the way, to `NAME-1` or the next free number."""
+    if not (path.is_file() or beside(path).is_file()):
+        return
     numbered = (path.with_stem(f"{path.stem}-{number}") for number in count(1))
     free = next(new for new in numbered if not (new.exists() or beside(new).exists()))
     for old, new in ((path, free), (beside(path), beside(free))):

@@ -233,7 +233,7 @@ class Connection:
                 with self._turns.preempt("close()", lambda: self.exchange.send("clear")):
                     if not self.ended:
                         greeted = self.info is not None
-                        unconfirmed, interrupt = release(self.exchange, greeted, self._timeout)
+                        unconfirmed, interrupt = last_words(self.exchange, greeted, self._timeout)
                         self.ended = True  # before the turn goes to another thread's call
                 told = isinstance(error, RejectedError) and error.reason == Reason.session.name
                 if unconfirmed and not (unconfirmed == TAKEN_OVER and told):
@@ -253,7 +253,9 @@ class Connection:
         interrupts.deliver(already_ending)
 
 
-def release(exchange: Exchange, greeted: bool, timeout: float) -> tuple[str, BaseException | None]:
+def last_words(
+    exchange: Exchange, greeted: bool, timeout: float
+) -> tuple[str, BaseException | None]:
     """Send the last words: all of them once, and then again for `LAST_WORDS_TIME`.
 
     Args:

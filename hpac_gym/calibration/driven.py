@@ -134,7 +134,7 @@ class Eye:
         self._watch.close()
 
 
-class Tracker:
+class AnglesFile:
     """Another program, which writes the joints' angles into a file; see `angles_in`."""
 
     def __init__(self, path: Path) -> None:
@@ -260,12 +260,12 @@ def record(
         CameraError, BridgeError, RecordError, OutputError: See there.
     """
     writable_file(path)
-    whole = read_sweep(path) if path.exists() else None
-    again = set() if whole is None else set(whole.swept[whole.trial == trial].tolist())
+    before = read_sweep(path) if path.exists() else None
+    again = set() if before is None else set(before.swept[before.trial == trial].tolist())
     protocol = replace(PROTOCOL, points=points or PROTOCOL.points)
     with ExitStack() as stack:
-        source: Eye | Tracker = (
-            stack.enter_context(closing(Eye(camera, ask))) if angles is None else Tracker(angles)
+        source: Eye | AnglesFile = (
+            stack.enter_context(closing(Eye(camera, ask))) if angles is None else AnglesFile(angles)
         )
         link = stack.enter_context(HandLink(connector(port, stack, hand), hand=hand))
         for servo in dict.fromkeys(servos):
@@ -275,7 +275,8 @@ def record(
             segment = Segment(servo, trial)
             sweep_servo(link, source.look, segment, hand, protocol)
             told = source.measure(segment, hand)
-            whole = added(whole, segment)
+            # Read again: another program may have added to it meanwhile.
+            whole = added(read_sweep(path) if path.exists() else None, segment)
             if SERVO_INDEX[servo] in again:
                 again.clear()  # the others of this run are added to the same file
                 with writing(path):

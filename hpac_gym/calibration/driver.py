@@ -109,6 +109,8 @@ class Segment:
         record = self.sweep()
         held = (record.phase == FLEXING) & (record.point >= 0)
         held &= ~np.isnan(record.joint_pos[:, joint])
+        if not held.any():
+            return np.inf
         servo, medians, _ = point_medians(record, np.flatnonzero(held))
         flexed = np.flatnonzero(medians[:, joint] > FLEXED)[:2]
         if len(flexed) < 2:

@@ -95,11 +95,15 @@ def judged(sweep: Sweep, base: Hand, name: str = "the record") -> list[str]:
                 else ""
             )
             faults.append(f"{where}: servo {SERVOS[swept]} moves {travel[swept]:.2f} rad{instead}")
+        elif len(points) < 3:
+            faults.append(
+                f"{where}: column point numbers {len(points)} points while servo {SERVOS[swept]} moves "
+                f"{travel[swept]:.2f} rad; each place where it stands needs a number of its own, at least 3"
+            )
         elif (moves := max(np.ptp(angles) for angles in points)) > STILL:
             faults.append(
                 f"{where}: servo {SERVOS[swept]} moves by up to {np.degrees(moves):.1f}° within a sampling point, at most "
-                f"{np.degrees(STILL):.1f}° is accepted; does its column belong to other rows, or has each place no number "
-                "of its own?"
+                f"{np.degrees(STILL):.1f}° is accepted; does its column belong to other rows?"
             )
         elif not np.ptp(np.clip(segment.servo[flexed, swept], low, high)):
             faults.append(

@@ -60,9 +60,12 @@ class Log(Lines):
         """Where it is: a later log of its name has moved it."""
         given = Path(self._path)
         here = os.fstat(self._file.fileno())
-        with os.scandir(given.parent) as files:
-            mine = (given.with_name(file.name) for file in files if file.inode() == here.st_ino)
-            return next(mine, given)
+        try:
+            with os.scandir(given.parent) as files:
+                mine = (given.with_name(file.name) for file in files if file.inode() == here.st_ino)
+                return next(mine, given)
+        except OSError:  # its folder has been moved, or may not be listed
+            return given
 
     def write(self, **line: Any) -> None:
         """Write a line.

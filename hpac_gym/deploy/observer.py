@@ -86,7 +86,9 @@ class Observer:
                 f"{name} cannot be deployed: a hand with a camera can do {', '.join(TASKS)}"
             )
         if grasp is not None:
-            options["types" if name == GRASP_TYPE else "grasp"] = grasp
+            if name not in (GRASP, GRASP_TYPE):
+                raise DeployError(f"{name} has no grasps by name, such as {grasp!r}")
+            options |= {"grasp" if name == GRASP else "types": grasp}
         try:
             self.task: Task = make_task(name, **options)
         except TypeError as error:

@@ -14,10 +14,11 @@ from hpac_gym.deploy.commands import object_of
 from hpac_gym.deploy.episode import LOG_VERSION
 from hpac_gym.deploy.errors import DeployError
 from hpac_gym.deploy.observer import Observer
+from hpac_gym.errors import HpacError
 from hpac_gym.evaluation.environment import make_env
 from hpac_gym.figures import new_figure, require, save
 from hpac_gym.model import HPAC, SERVOS
-from hpac_gym.model.checks import Array, as_finite_array
+from hpac_gym.model.checks import Array, as_finite_vector, as_unit_vector
 from hpac_gym.model.files import hand_from_toml
 from hpac_gym.output import read_text
 
@@ -25,11 +26,9 @@ APART_M = 0.01
 """Distance from which on the object is told to be elsewhere than simulated [m]."""
 
 _HEAD = {"policy", "env_id", "grasp", "object", "port"}
-_KINDS = {"env_id": str, "options": dict, "model": str | None}
-"""What is read of a log's first line, and of which kind some of it is."""
-_SIZES = {"position": 3, "quaternion": 4, "sent": len(SERVOS), "hand": len(SERVOS)}
-_STEP = {"t", "phase", "action", *_SIZES}
-"""What is read of a step, and how many numbers some of it has."""
+_SIZES = {"position": 3, "sent": len(SERVOS), "hand": len(SERVOS)}
+_STEP = {"t", "phase", "action", "quaternion", *_SIZES}
+"""What is read of a log's first line and of a step."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -51,15 +50,10 @@ def run(options: argparse.Namespace) -> int:
     hand = hand_from_toml(head["model"], f"{options.log}") if head.get("model") else HPAC
     thing = object_of(head["object"])
     observer = Observer(head["env_id"], thing, hand, head["grasp"], **needed)
-    sizes = {"t": len(steps), "action": observer.action_space.shape[0], **_SIZES}
-    logged = {
-        name: as_finite_array([row[name] for row in steps], size, f"log {options.log}: {name}")
-        for name, size in sizes.items()
-    }
-    time = logged["t"]
-    sent = logged["sent"]
-    seen = logged["position"]
-    commanded, simulated, outcome = simulation(observer, needed, logged, options.engine)
+    commanded, simulated, outcome = simulation(observer, needed, steps, options.engine)
+    time, sent, seen = (
+        np.array([row[name] for row in steps]) for name in ("t", "sent", "position")
+    )
     apart = np.abs(sent - commanded)
     step, servo = np.unravel_index(int(np.nanargmax(apart)), apart.shape)
     distance = np.linalg.norm(seen - simulated, axis=1)
@@ -110,55 +104,71 @@ def read_log(path: Path) -> tuple[dict[str, Any], list[dict[str, Any]], str]:
             if number == len(lines):
                 break
             row = None
-        where = f"log {path}, line {number}"
         if not isinstance(row, dict):
-            raise DeployError(f"{where}: no JSON object")
+            raise DeployError(f"log {path}, line {number}: no JSON object")
         if number == 1 and row.get("hpac_deploy") != LOG_VERSION:
             raise DeployError(
                 f"log {path}: line 1 must be that of `hpac deploy`, version {LOG_VERSION}"
             )
         needed = _HEAD if number == 1 else _STEP if "step" in row else set()
         if missing := needed - row.keys():
-            raise DeployError(f"{where}: without {', '.join(sorted(missing))}")
+            raise DeployError(f"log {path}, line {number}: without {', '.join(sorted(missing))}")
+        try:
+            _require_values(row)
+        except HpacError as error:
+            raise DeployError(f"log {path}, line {number}: {error}") from None
         rows.append(row)
     steps = [row for row in rows[1:] if "step" in row]
     if not steps:
         raise DeployError(f"log {path}: it has no steps")
-    head = rows[0]
-    for name in _KINDS.keys() & head.keys():
-        if not isinstance(head[name], _KINDS[name]):
-            raise DeployError(f"log {path}, line 1: {name} {head[name]!r} is of another kind")
     end = next((row["end"] for row in rows[1:] if "end" in row), "cut short")
-    return head, steps, end
+    return rows[0], steps, end
+
+
+def _require_values(row: dict[str, Any]) -> None:
+    """Refuse a first line or a step with values of other kinds."""
+    if "hpac_deploy" in row:
+        for name, kind in (("env_id", str), ("object", str | dict), ("model", str | None)):
+            if not isinstance(value := row.get(name), kind):
+                raise DeployError(f"{name} {value!r} is no text")
+        if not isinstance(options := row.get("options", {}), dict):
+            raise DeployError(f"options {options!r} are not those of an environment")
+    elif "step" in row:
+        as_finite_vector([row["t"]], 1, "t")
+        action = row["action"]
+        as_finite_vector(action, len(action) if isinstance(action, list) else 1, "action")
+        for name, size in _SIZES.items():
+            as_finite_vector(row[name], size, name)
+        as_unit_vector(row["quaternion"], 4, "quaternion")
 
 
 def simulation(
-    observer: Observer, options: dict[str, Any], logged: dict[str, Array], engine: str
+    observer: Observer, options: dict[str, Any], steps: list[dict[str, Any]], engine: str
 ) -> tuple[Array, Array, str]:
     """The same actions on a simulated hand, whose object stands where it was seen first; `options`
-    are of the environment, `logged` the numbers of every step by their name.
+    are of the environment.
 
     Returns:
         Commands, shape (n, 6) [rad]; where the object is, shape (n, 3) [m], both NaN after the end
         of the episode; and its outcome.
     """
-    seen = Rotation.from_quat(logged["quaternion"][0])
+    seen = Rotation.from_quat(steps[0]["quaternion"])
     seen = Rotation.from_quat(observer.setup.hand_quaternion) * seen
     setup = replace(
         observer.setup,
-        position=logged["position"][0],
+        position=np.array(steps[0]["position"]),
         yaw=0.0,
         object_quaternion=tuple(seen.as_quat().tolist()),
     )
-    commanded = np.full((len(logged["action"]), len(SERVOS)), np.nan)
-    positions = np.full((len(logged["action"]), 3), np.nan)
+    commanded = np.full((len(steps), len(SERVOS)), np.nan)
+    positions = np.full((len(steps), 3), np.nan)
     with make_env(observer.spec.id, engine=engine, model=observer.model, **options) as env:
         env.reset(seed=0)
         bare = env.unwrapped  # whose own `reset` would refuse an object that was seen in the hand
         bare.episodes.reset([0], [np.random.default_rng(0)], [setup])
-        for i, action in enumerate(logged["action"]):
+        for i, row in enumerate(steps):
             positions[i] = bare.state.object_pos[0]
-            _, _, over, _, info = env.step(action.astype(np.float32))
+            _, _, over, _, info = env.step(np.array(row["action"], dtype=np.float32))
             commanded[i] = bare.command.servo
             if over:
                 break

@@ -155,7 +155,7 @@ def test_the_last_words_to_a_stopped_hand_that_is_silent_leave_the_fault_latched
     exchange = Mock(**{"request.side_effect": LinkTimeout("no answer")})
     exchange.transport.now.side_effect = range(100)
     exchange.known = Mock(in_fault=True, may_have_power=True, fault="estop")
-    connection.release(exchange, True, 0.1)
+    connection.last_words(exchange, True, 0.1)
     assert {call.args[0] for call in exchange.request.call_args_list} == {"status", "estop"}
 
 

@@ -22,7 +22,7 @@ from experiments.strips import STRIP_LENS, Body
 from hpac_gym.bridge import FaultError, HandLink, VirtualHand, servo_from_pulses
 from hpac_gym.bridge.hands import config_of
 from hpac_gym.calibration import driven
-from hpac_gym.calibration.driven import LEAST_SLACK, Eye, Tracker, added, angles_in
+from hpac_gym.calibration.driven import LEAST_SLACK, AnglesFile, Eye, added, angles_in
 from hpac_gym.calibration.driver import Segment, sweep_servo
 from hpac_gym.calibration.judging import judged
 from hpac_gym.calibration.record import (
@@ -313,7 +313,7 @@ def test_angles_of_another_program_are_joined_by_the_time_of_the_day(tmp_path):
     path.write_text(f"{text}\n101.5,0.")  # the last line is still being written
     segment = Segment("index_mcp", labels=[(REST, -1)] * 4, unix=[99.0, 100.105, 100.8, 101.05])
     segment.time = [0.0, 0.1, 0.2, 0.3]
-    Tracker(path).measure(segment, HPAC)
+    AnglesFile(path).measure(segment, HPAC)
     mcp, pip = segment.joint_pos[:, [JOINT_INDEX["index_mcp"], JOINT_INDEX["index_pip"]]].T
     np.testing.assert_allclose(mcp, [np.nan, 0.105, 0.8, 1.0], atol=1e-9)
     np.testing.assert_allclose(pip, [np.nan, 0.21, np.nan, np.nan], atol=1e-9)
@@ -341,7 +341,7 @@ def test_angles_that_are_none_are_one_line(tmp_path, text, says):
     if text is not None:
         path.write_text(text)
     with pytest.raises(RecordError, match=says):
-        Tracker(path).measure(Segment("index_mcp", unix=[1.0]), HPAC)
+        AnglesFile(path).measure(Segment("index_mcp", unix=[1.0]), HPAC)
 
 
 def test_the_last_rows_of_angles_are_read_without_the_others(tmp_path):

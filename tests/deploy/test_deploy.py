@@ -34,9 +34,12 @@ from hpac_gym.deploy.episode import Log, run_episode, wire_log
 from hpac_gym.deploy.errors import DeployError, PoseError
 from hpac_gym.deploy.observer import TASKS, UPRIGHT, Observer, Pose
 from hpac_gym.deploy.poses import Fixed, Packets, averaged, pose_of, source_of
+from hpac_gym.deploy.replay import figure_of, simulation
 from hpac_gym.deploy.watching import watched
-from hpac_gym.model import HPAC, hand_to_toml, servo_from_synergy
+from hpac_gym.figures import save
+from hpac_gym.model import HPAC, servo_from_synergy
 from hpac_gym.model.calibration import Calibration
+from hpac_gym.model.files import hand_to_toml
 from hpac_gym.model.settled import FLEXION, settled_joints_from_servo
 from hpac_gym.output import OutputError
 from hpac_gym.policies.loading import load_policy
@@ -666,10 +669,7 @@ def test_jitter_and_deadlines_are_measured_in_real_time():
 # --- a log beside a simulation
 
 
-def test_a_log_is_played_beside_a_simulation_and_no_legend_lies_on_a_curve(
-    log, capsys, monkeypatch
-):
-    monkeypatch.setattr(replay, "save", Mock(side_effect=replay.save))
+def test_a_log_is_played_beside_a_simulation(log, capsys):
     picture = log.with_suffix(".png")
     status, said = told(capsys, log, "--out", picture, command="replay")
     assert (status, said.err) == (0, "")
@@ -685,11 +685,10 @@ def test_a_log_is_played_beside_a_simulation_and_no_legend_lies_on_a_curve(
 def test_the_simulation_has_the_object_turned_as_it_was_seen(monkeypatch):
     observer = Observer(GRASP, object_of("box:0.02,0.03,0.05"))
     turn = Rotation.from_quat(UPRIGHT) * Rotation.from_euler("z", -0.3)
-    logged = {"position": PLACE.position, "quaternion": turn.as_quat(), "action": np.zeros(6)}
-    logged = {name: numbers[None] for name, numbers in logged.items()}
+    step = {"position": PLACE.position, "quaternion": turn.as_quat(), "action": np.zeros(6)}
     with gymnasium.make(GRASP, engine="mujoco") as env:
         monkeypatch.setattr(replay, "make_env", lambda *_, **__: nullcontext(env))
-        replay.simulation(observer, {}, logged, "mujoco")
+        simulation(observer, {}, [step], "mujoco")
         found = env.unwrapped.state.object_rotation[0]
     np.testing.assert_allclose(found, turn.as_matrix(), atol=0.02)
 
@@ -723,28 +722,39 @@ def test_nothing_is_compared_after_the_end_of_the_simulation(path, capsys):
     )
 
 
-def test_an_object_that_moved_is_told_of_a_log_that_was_cut_short(log, capsys):
+def test_no_legend_lies_on_a_curve(tmp_path):
+    time = np.linspace(0, 4, 60)
+    figure = figure_of(time, *(np.outer(time, np.ones(n)) for n in (6, 6, 3, 3)))
+    save(figure, tmp_path / "course.png")
+    for axes in figure.axes:
+        assert axes.get_legend().get_window_extent().x0 > axes.get_window_extent().x1
+
+
+def test_an_object_that_moved_is_told(log, capsys):
     rows = [json.loads(line) for line in log.read_text().splitlines()]
     for row in rows[10:-1]:
         row["position"][1] += 0.05
     del rows[0]["options"]  # as in older logs
-    log.write_text("\n".join(map(json.dumps, rows))[:-5])
-    status, said = told(capsys, log, command="replay")
-    assert (status, said.err) == (0, "")
-    assert "ended: cut short" in said.out
-    assert "parted at 0.4" in said.out
+    log.write_text("\n".join(map(json.dumps, rows)))
+    assert "parted at 0.4" in told(capsys, log, command="replay")[1].out
 
 
-def first(**change):
-    """The first line of a log."""
-    none = {"grasp": None, "policy": "", "port": "", "hpac_deploy": 1}
-    return json.dumps(none | {"env_id": GRASP, "object": "sphere:0.03", **change})
+HEAD = '{"hpac_deploy": 1, "env_id": "", "grasp": null, "object": "", "policy": "", "port": ""}'
 
 
 def step(**change):
     """A step of a log."""
-    ones = {name: [1.0] * size for name, size in replay._SIZES.items()}
-    return json.dumps({"step": 0, "t": 0, "phase": "close", "action": [0.0] * 6, **ones, **change})
+    zeros = {name: [0.0] * size for name, size in replay._SIZES.items()}
+    row = {"step": 0, "t": 0, "phase": "close", "action": [0.0] * 6, **zeros}
+    return json.dumps(row | {"quaternion": [0, 0, 0, 1], **change})
+
+
+def test_a_log_that_was_cut_short_is_read(log, capsys):
+    text = log.read_text()
+    log.write_text(text[: len(text) // 2])
+    status, said = told(capsys, log, command="replay")
+    assert status == 0
+    assert "ended: cut short" in said.out
 
 
 @pytest.mark.parametrize(
@@ -753,21 +763,24 @@ def step(**change):
         ("", "it has no steps"),
         ("{}\n", "line 1 must be that of `hpac deploy`, version 1"),
         ('{"hpac_deploy": 1, "env_id": ""}\n', "line 1: without grasp, object, policy, port"),
-        (f"{first()}\n", "it has no steps"),
-        (f"{first()}\nx\n{{}}\n", "line 2: no JSON object"),
-        (f"{first()}\n5\n", "line 2: no JSON object"),
+        (f"{HEAD}\n", "it has no steps"),
+        (f"{HEAD}\nx\n{{}}\n", "line 2: no JSON object"),
+        (f"{HEAD}\n5\n", "line 2: no JSON object"),
         (
-            f'{first()}\n{{}}\n{{"step": 0, "t": 0, "phase": "close", "quaternion": [0, 0, 0, 1]}}\n',
+            f'{HEAD}\n{{}}\n{{"step": 0, "t": 0, "phase": "close", "quaternion": [0, 0, 0, 1]}}\n',
             "line 3: without action, hand, position, sent",
         ),
-        (f"{first(env_id=None)}\n{step()}", "line 1: env_id None is of another kind"),
-        (f"{first(model=5)}\n{step()}", "line 1: model 5 is of another kind"),
-        (f"{first(options=[1])}\n{step()}", "line 1: options [1] is of another kind"),
-        (f"{first(object=5)}\n{step()}", "object 5 is neither an ObjectSpec"),
-        (f"{first()}\n{step(position=None)}", "position must have shape (..., 3), not (1,)"),
-        (f"{first()}\n{step(action='abc')}", "log.jsonl: action must be an array of numbers"),
-        (f"{first()}\n{step(action=[0.1, [1, 2]])}", "action must be an array of numbers"),
-        (f"{first()}\n{step()}\n{step(sent=[np.nan] * 6)}", "sent[1, 0] = nan must be a finite"),
+        (HEAD.replace('""', "null", 1), "line 1: env_id None is no text"),
+        (HEAD.replace('"object": ""', '"object": 5'), "line 1: object 5 is no text"),
+        (f'{HEAD[:-1]}, "model": 5}}', "line 1: model 5 is no text"),
+        (f'{HEAD[:-1]}, "options": [1]}}', "line 1: options [1] are not those of an environment"),
+        (f"{HEAD}\n{step(position=None)}", "line 2: position must have shape (..., 3), not ()"),
+        (f"{HEAD}\n{step(action='abc')}", "line 2: action must be an array of numbers"),
+        (f"{HEAD}\n{step(action=[0.1, [1, 2]])}", "line 2: action must be an array of numbers"),
+        (
+            f"{HEAD}\n{step(quaternion=[0] * 4)}",
+            "line 2: quaternion = [0.0, 0.0, 0.0, 0.0] of norm 0",
+        ),
     ],
     ids=range(15),
 )
