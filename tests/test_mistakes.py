@@ -84,7 +84,7 @@ MISTAKES = [
     ),
     (
         f"hpac deploy grasp-any {POSED} --grasp rod",
-        "HPAC-GraspAny-v1 with grasp cannot be deployed: ",
+        "HPAC-GraspAny-v1 has no grasps by name, such as 'rod'",
     ),
     (
         f"hpac deploy grasp {POSED} --env HPAC-GraspAny-v1",

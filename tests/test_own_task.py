@@ -370,7 +370,7 @@ class Goals(Grasp):
         (Noisy, 70, ParameterError, "its task's 'noise' is an option of every environment"),
         (Endless, 60, ParameterError, "an episode of inf s must have .* an end"),
         (NoTerms, None, ParameterError, "Wrong-v0: NoTerms has no terms, reward_terms"),
-        (Goals, None, ParameterError, "Wrong-v0: Goals has no measure, goal_reward"),
+        (Goals, None, ParameterError, "Goals has goal_terms but no measure and goal_reward"),
         (Half, None, TypeError, "abstract.*judge.*setup"),
         (lambda: 3, None, ParameterError, "Wrong-v0 needs a .*Task, not 3"),
     ],

@@ -298,10 +298,16 @@ def _check(task: Task, options: Options) -> None:
         raise ParameterError(
             f"phases {task.phases}: ends {task.ends} is not a time of each, in order"
         )
-    if task.goal_terms and len(task.reward_terms) > 1:
-        raise ParameterError(
-            f"{type(task).__name__} has goals and {len(task.reward_terms)} reward terms: one is possible, that of goal_reward"
-        )
+    if task.goal_terms:
+        kind = type(task).__name__
+        if missing := [name for name in ("measure", "goal_reward") if not hasattr(task, name)]:
+            raise ParameterError(
+                f"{kind} has goal_terms but no {' and '.join(missing)}: make it a subclass of Posture"
+            )
+        if len(task.reward_terms) > 1:
+            raise ParameterError(
+                f"{kind} has goals and {len(task.reward_terms)} reward terms: one is possible, that of goal_reward"
+            )
     if options.model == CALIBRATED and task.hands != "test":
         raise ParameterError(
             f"model 'calibrated' is that of held-out hands: it needs hands='test', not {task.hands!r}"

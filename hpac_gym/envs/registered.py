@@ -72,9 +72,7 @@ def _task(row: Registered, options: dict[str, Any]) -> Task:
     task = row.make(**options)
     if not isinstance(task, Task):
         raise ParameterError(f"{row.id} needs a hpac_gym.tasks.task.Task, not {task!r}")
-    needed = ["duration", "terms", "reward_terms"]
-    if task.goal_terms:
-        needed += ["measure", "goal_reward"]
+    needed = ("duration", "terms", "reward_terms")
     if missing := [name for name in needed if not hasattr(task, name)]:
         raise ParameterError(f"{row.id}: {type(task).__name__} has no {', '.join(missing)}")
     steps = task.control_steps

@@ -1,6 +1,7 @@
 """Many hands as one Gymnasium vector environment: `Episodes` of n worlds."""
 
 from collections.abc import Sequence
+from types import MethodType
 from typing import Any, ClassVar
 
 import numpy as np
@@ -97,6 +98,10 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         self.model = chosen.model
         self.obs = chosen.obs
         self.reward = chosen.reward
+        if task.goal_terms:
+            self.compute_reward = MethodType(GoalEnv.compute_reward, self)
+            self.compute_terminated = MethodType(GoalEnv.compute_terminated, self)
+            self.compute_truncated = self.compute_terminated
         self._episodes = Episodes(task, num_envs, chosen, engine=physics)
         self.dt = self._episodes.dt
         self.slices = self._episodes.observations.slices
@@ -109,8 +114,6 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         self._running = False
 
     __reduce_ex__ = HandEnv.__reduce_ex__
-    compute_reward = GoalEnv.compute_reward
-    compute_terminated = compute_truncated = GoalEnv.compute_terminated
     episodes = property(open_episodes)
     # Of every environment, as in Gymnasium's own; the base class has a generator that nothing uses.
     np_random = property(lambda self: tuple(generator for generator, _ in self._seeded))
@@ -130,8 +133,7 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
                 each; and `reset_mask`, shape (n,), to reset only some environments.
 
         Raises:
-            ParameterError: Wrong number of seeds, wrong mask, or an option that `HandEnv.reset` refuses.
-            gymnasium.error.Error: A seed that is no whole number from 0 on.
+            ParameterError: Wrong seeds or mask, or an option that `HandEnv.reset` refuses.
         """
         episodes = self.episodes
         running = self._running and episodes.now is not None
@@ -142,7 +144,7 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         worlds = np.flatnonzero(mask).tolist()
         for world in worlds:
             if seeds[world] is not None:
-                self._seeded[world] = seeding.np_random(seeds[world])
+                self._seeded[world] = seeding.np_random(int(seeds[world]))
         infos: dict[str, Any] = {}
         self._restart(worlds, infos, given)
         self._running = True

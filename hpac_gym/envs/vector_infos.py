@@ -106,12 +106,15 @@ def seeds_of(seed: int | Sequence[int | None] | None, num_envs: int) -> Sequence
     """One seed per environment, given by the first of consecutive seeds or one by one.
 
     Raises:
-        ParameterError: Wrong number of seeds.
+        ParameterError: Wrong number of seeds, or one that is no whole number from 0 on.
     """
     if seed is None:
         return [None] * num_envs
     if isinstance(seed, int | np.integer):
-        return range(seed, seed + num_envs)
-    seeds = np.atleast_1d(seed).tolist()
+        seed = range(seed, seed + num_envs)
+    seeds = seed if np.ndim(seed) else [seed]
+    for one in seeds:
+        if one is not None and not (isinstance(one, int | np.integer) and one >= 0):
+            raise ParameterError(f"seed {one!r} must be a whole number of at least 0, or None")
     check_count("seeds", seeds, num_envs)
     return seeds

@@ -64,6 +64,8 @@ def with_object(options: Mapping[str, Any]) -> dict[str, Any]:
 
 @contextmanager
 def _refusing(env_id: str, options: Mapping[str, Any]) -> Iterator[None]:
+    if env_id.startswith(":") or env_id.count(":") > 1:
+        raise EnvError(f"no environment '{env_id}': an id is name-v0 or module:name-v0")
     try:
         yield
     except (gymnasium.error.Error, ModuleNotFoundError, SyntaxError) as error:

@@ -27,6 +27,8 @@ _DIGIT = (
     *("tension_limit", "joint_radius", "path_length"),
 )
 _TOP = ("schema", "name", "sources", "servo", "cmc", "digits", "workspace")
+_LONGEST = 1.0
+"""Largest length in any hand (chosen): an arm's [m]."""
 _FURTHEST = math.pi
 """Largest servo angle of any hand (chosen): half a turn [rad]."""
 
@@ -87,23 +89,41 @@ def _value(value: Any) -> str:
     return json.dumps(value, ensure_ascii=False, default=float).replace("\x7f", "\\u007f")
 
 
+def _floats(value: Any) -> Any:
+    """A value of TOML whose integers are floats, infinite beyond every float."""
+    if isinstance(value, dict):
+        return {key: _floats(entry) for key, entry in value.items()}
+    if isinstance(value, list):
+        return [_floats(entry) for entry in value]
+    return float(str(value)) if type(value) is int else value
+
+
 def _hand_from_table(table: dict[str, Any]) -> Hand:
     if table.get("schema") != SCHEMA:
         raise ParameterError(f"schema {table.get('schema')!r} is not {SCHEMA}")
-    table = {"name": "unnamed", "calibration": None} | table
+    table = _floats({"name": "unnamed", "calibration": None} | table)
     _table(table, (*_TOP, "calibration"), "the file")
-    for key, text in dict(table["sources"]).items():
+    for name in ("digits", "workspace", "sources"):
+        if not isinstance(table[name], dict):
+            raise ParameterError(f"{name} = {table[name]!r} must be a table")
+    for key, text in table["sources"].items():
         if not isinstance(text, str):
             raise ParameterError(f"[sources] {key} must be text, not {text!r}")
     hand = Hand(
         name=str(table["name"]),
-        digits={name: _digit(name, given) for name, given in dict(table["digits"]).items()},
+        digits={name: _digit(name, given) for name, given in table["digits"].items()},
         workspace=table["workspace"],
         **_table(table["servo"], ("rate_limit",), "[servo]"),
         **_table(table["cmc"], _CMC, "[cmc]"),
         sources=table["sources"],
         calibration=_calibration(table["calibration"]),
     )
+    for digit in hand.digits.values():
+        lengths = (digit.d1, digit.d2, digit.servo_radius, *digit.joint_radius, *digit.path_length)
+        if max(lengths) > _LONGEST:
+            raise ParameterError(
+                f"digit {digit.name}: length = {max(lengths):.6g} m, allowed at most {_LONGEST:g} m"
+            )
     furthest = max(map(abs, (*hand.servo_min, *hand.servo_max)))
     if furthest > _FURTHEST:
         raise ParameterError(

@@ -22,8 +22,6 @@ from hpac_gym.model.joints import DIGITS, JOINT_INDEX, JOINTS, SERVO_INDEX, SERV
 from hpac_gym.settings import are_numbers, check_bounds, setting
 
 _CMC = len(SERVOS) - 1
-_ARM = 1.0
-"""Longest length in any hand (chosen) [m]."""
 _UNCALIBRATED = Calibration()
 
 
@@ -43,17 +41,17 @@ class Digit:
     """
 
     name: str
-    d1: float = _positive("m", most=_ARM)
+    d1: float = _positive("m")
     """Distance of the fixed guide from the root joint's axis [m]."""
-    d2: float = _positive("m", most=_ARM)
+    d2: float = _positive("m")
     """Distance of the moving guide from the root joint's axis [m]."""
     alpha: float = _positive("rad", most=math.nextafter(math.pi, 0.0))
     """Included angle between the guides at rest [rad]."""
-    servo_radius: float = _positive("m", most=_ARM)
+    servo_radius: float = _positive("m")
     """Radius r of the servo's hub [m]."""
-    joint_radius: tuple[float, ...] = _positive("m", most=_ARM, size=0)
+    joint_radius: tuple[float, ...] = _positive("m", size=0)
     """Pulley radius R of each joint, root first [m]."""
-    path_length: tuple[float, ...] = _positive("m", most=_ARM, size=0)
+    path_length: tuple[float, ...] = _positive("m", size=0)
     """Tendon path L between neighbouring joints, root first [m]."""
     spring_stiffness: float = _positive("N/m")
     """k_s of the restoring spring [N/m]."""

