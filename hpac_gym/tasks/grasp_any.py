@@ -31,7 +31,7 @@ from hpac_gym.tasks.grasp_any_setups import (
     Setups,
     pull_of,
 )
-from hpac_gym.tasks.grip import Grip
+from hpac_gym.tasks.grip import Grip, lengths
 from hpac_gym.tasks.phases import wrist_table
 from hpac_gym.tasks.privileged import PRIVILEGED_TERMS
 from hpac_gym.tasks.scripted import ScriptedGraspAny
@@ -267,7 +267,7 @@ class GraspAny(Task):
             self.sides += (ran == SIDES) & held & (side == np.floor(side))
             pulled = (ran == RAMP) & held
             self.holding_force = np.where(pulled, self._ramp(state.time), self.holding_force)
-        beyond = np.linalg.norm(state.object_pos - GRASP_CENTRE, axis=1) > self.config.reach
+        beyond = lengths(state.object_pos - GRASP_CENTRE) > self.config.reach
         failed = (closing & beyond) | ((phase >= SHAKE) & ~(shaken | held))
         over = shaken & (~held | (state.time >= self.duration - dt / 2))
         return np.where(failed, FAILURE, np.where(over, SUCCESS, RUNNING))

@@ -151,6 +151,14 @@ def wrist_table(timetable: Timetable, times: tuple[float, ...]) -> Array:
     return np.array([timetable.wrist_offset(time) for time in times])
 
 
+@lru_cache(maxsize=64)
+def phase_limits(ends: tuple[float, ...]) -> Array:
+    """End times of all phases but the last, in ascending order, which rounding may miss by 1e-9
+    [s].
+    """
+    return np.array(ends[:-1]) - 1e-9
+
+
 def moved(share: float) -> float:
     """Fraction of a minimum-jerk move that is complete after a fraction of its duration; 0 before
     and 1 after the move.

@@ -17,6 +17,7 @@ from hpac_gym.physics.engine import HAND_QUATERNION, SceneSetup, SceneState, Vie
 from hpac_gym.settings import check_bounds, setting, settings_from
 from hpac_gym.tasks.cameras import CameraNoise, ObjectCamera
 from hpac_gym.tasks.grasp import PALM_SURFACE, GraspWeights
+from hpac_gym.tasks.grip import lengths
 from hpac_gym.tasks.phases import PickPlaceTimetable
 from hpac_gym.tasks.privileged import PRIVILEGED_TERMS
 from hpac_gym.tasks.scripted import ScriptedPickPlace
@@ -269,8 +270,8 @@ class PickPlace(Task):
         reference = np.where(closing[:, None], self._place, self._target)
         carried = ~closing & (state.time < lowered - dt / 2)
         way = np.where(carried[:, None], state.object_pos - self._grasped_at, away - reference)
-        self._astray = np.linalg.norm(way, axis=1)
-        beside = np.linalg.norm((away - self._target)[:, [0, 2]], axis=1)
+        self._astray = lengths(way)
+        beside = lengths((away - self._target)[:, [0, 2]])
         placed = self._standing & ~touched & (beside < config.tolerance)
         over = state.time >= self.duration - dt / 2
         ended = np.where(over, np.where(placed, SUCCESS, FAILURE), RUNNING)

@@ -22,7 +22,7 @@ from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import PARTS, Contacts, SceneSetup, SceneState, Viewpoint
 from hpac_gym.tasks.cameras import CameraNoise, MarkerCamera, ObjectCamera
 from hpac_gym.tasks.grip import Grip
-from hpac_gym.tasks.phases import CONTROL_HZ as CONTROL_HZ
+from hpac_gym.tasks.phases import CONTROL_HZ as CONTROL_HZ, phase_limits
 from hpac_gym.tasks.scripted import Script, ScriptedClosure
 from hpac_gym.tasks.terms import Moment, RewardTerm, Term
 
@@ -129,9 +129,9 @@ class Task(ABC):
 
     def phase(self, time: Array) -> NDArray[np.int_]:
         """Index into `phases` of the phase that is running or begins at times [s], shape (n,); the
-        last phase stays. Rounding may miss an end by 1e-9 s.
+        last phase stays.
         """
-        return np.searchsorted(np.array(self.ends[:-1]) - 1e-9, time)
+        return phase_limits(self.ends).searchsorted(time)
 
     def chosen(self, setup: SceneSetup, action: Array) -> SceneSetup:
         """The setup of an episode as changed by its first action, shape (6 + len(wrist_actions),),

@@ -201,12 +201,13 @@ def require_own_names(kind: str, terms: Iterable[Term | RewardTerm]) -> None:
         raise ParameterError(f"{kind} has two terms {same!r}: each needs a name of its own")
 
 
-def _columns(term: Term, value: Any, rows: int) -> Any:
-    """A value of a term, refused unless it has a column for each of its labels."""
+def _require_columns(term: Term, value: Any, rows: int) -> None:
+    """Refuse a value that has not a column for each label of its term."""
     shape = (rows, len(term.labels))
     if np.shape(value) != shape:
-        raise ShapeError(f"term {term.name!r} must have shape {shape}, not {np.shape(value)}")
-    return value
+        raise ShapeError(
+            f"term {term.name!r} must have shape {shape}, not {np.shape(value)}"
+        ) from None
 
 
 class Layout:
@@ -237,7 +238,6 @@ class Layout:
             for term, end in zip(terms, ends, strict=True)
         }
         self._terms = tuple(terms)
-        self._num_worlds = num_worlds
         self._fixed = {
             term.name: np.zeros((num_worlds, len(term.labels)), np.float32)
             for term in terms
@@ -249,8 +249,9 @@ class Layout:
         index = np.asarray(worlds)
         for term in self._terms:
             if term.fixed:
-                values = [term.value(setup) for setup in setups]
-                self._fixed[term.name][index] = _columns(term, values, len(setups))
+                values = np.array([term.value(setup) for setup in setups], np.float32)
+                _require_columns(term, values, len(setups))
+                self._fixed[term.name][index] = values
 
     def see(self, now: Moment) -> NDArray[np.float32]:
         """Observation vectors, shape (n, size), clipped to the bounds (an object out of view).
@@ -258,17 +259,19 @@ class Layout:
         Raises:
             ShapeError: A term's value has not a column for each of its labels, or is NaN.
         """
-        seen = np.concatenate(
-            [
-                self._fixed[term.name]
-                if term.fixed
-                else _columns(term, term.value(now), self._num_worlds)
-                for term in self._terms
-            ],
-            axis=1,
-            dtype=np.float32,
-        )
+        parts = [self._fixed[term.name] if term.fixed else term.value(now) for term in self._terms]
+        try:
+            seen = np.concatenate(parts, axis=1, dtype=np.float32)
+            np.maximum(seen, self.space.low, out=seen)
+        except ValueError:
+            for term, part in zip(self._terms, parts, strict=True):
+                _require_columns(term, part, len(now.servo))
+            raise
         if np.isnan(seen).any():
-            bad = next(name for name, at in self.slices.items() if np.isnan(seen[:, at]).any())
+            bad = next(
+                term.name
+                for term, part in zip(self._terms, parts, strict=True)
+                if np.isnan(part).any()
+            )
             raise ShapeError(f"term {bad!r} is not a number: NaN")
-        return seen.clip(self.space.low, self.space.high, out=seen)
+        return np.minimum(seen, self.space.high, out=seen)
