@@ -266,17 +266,18 @@ class Device:
 
 
 class Watch(Generic[_Result]):
-    """A thread that looks at each picture, since a camera blocks; it keeps the latest result.
+    """A thread that looks at each picture of a camera, or packet of a port, since reading blocks; it keeps
+    the latest result.
 
     Args:
-        frames: the camera.
-        look: what is made of a picture; an `HpacError` that it raises is kept as `fault`.
+        frames: its `read` gives the next one, or None when there are no more, and its `close` lets it go.
+        look: what is made of one; an `HpacError` that it raises is kept as `fault`.
 
     Attributes:
-        fault: why the last picture had no result; empty if it had one.
+        fault: why the last one had no result; empty if it had one.
     """
 
-    def __init__(self, frames: Device, look: Callable[[np.ndarray], _Result]) -> None:
+    def __init__(self, frames: Any, look: Callable[[Any], _Result]) -> None:
         self.fault = ""
         self._latest: tuple[_Result, float] | None = None
         self._stop = threading.Event()
@@ -285,7 +286,7 @@ class Watch(Generic[_Result]):
         )
         self._thread.start()
 
-    def _run(self, frames: Device, look: Callable[[np.ndarray], _Result]) -> None:
+    def _run(self, frames: Any, look: Callable[[Any], _Result]) -> None:
         try:
             while not self._stop.is_set():
                 picture = frames.read()
