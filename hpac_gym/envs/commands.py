@@ -8,6 +8,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
 from hpac_gym.body.urdf import WRIST_RANGE
@@ -25,7 +26,7 @@ from hpac_gym.model import (
     streamed_servo,
 )
 from hpac_gym.model.calibration import Calibration, Friction
-from hpac_gym.model.checks import Array, as_bounded_array
+from hpac_gym.model.checks import Array, as_array, as_bounded_array
 from hpac_gym.model.command import ACTION_TOLERANCE
 from hpac_gym.model.maps import CommandMap
 from hpac_gym.physics.engine import SceneSetup
@@ -36,6 +37,18 @@ FILES = Path(__file__).parents[1] / "body" / "data" / "calibrated"
 dead finger has none, since `hpac calibrate` refuses it: it keeps the nominal numbers.
 """
 Transmit = Callable[[ServoCommand], ServoCommand]
+
+
+def actions_of(given: NDArray, space: Box, name: str) -> Array:
+    """Actions as an array of exactly the shape of their space.
+
+    Raises:
+        ShapeError: Not numeric, or of another shape.
+    """
+    actions = as_array(given, space.shape[-1], name)
+    if actions.shape != space.shape:
+        raise ShapeError(f"{name} must have shape {space.shape}, not {actions.shape}")
+    return actions
 
 
 @dataclass(slots=True)

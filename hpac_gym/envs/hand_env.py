@@ -7,15 +7,15 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hpac_gym.envs.commands import Transmit
+from hpac_gym.envs.commands import Transmit, actions_of
 from hpac_gym.envs.episodes import Episodes, open_episodes, quality
 from hpac_gym.envs.observations import Observation, of_world
 from hpac_gym.envs.options import RENDER_MODES, checked_options, setups_of
 from hpac_gym.envs.randomization import Randomization, randomization
 from hpac_gym.envs.snapshots import restore, save
-from hpac_gym.errors import EpisodeError, ShapeError
+from hpac_gym.errors import EpisodeError
 from hpac_gym.model import ServoCommand
-from hpac_gym.model.checks import Array, as_array
+from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import Engine, SceneState, Viewpoint
 from hpac_gym.tasks.senses import VIEW_TARGET
 from hpac_gym.tasks.task import CONTROL_HZ, RUNNING, Task
@@ -149,10 +149,7 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         episodes = self._begun()
         if self._is_over():
             raise EpisodeError("no episode is running: call reset() first")
-        (size,) = self.action_space.shape
-        action = as_array(action, size, "action")
-        if action.ndim != 1:
-            raise ShapeError(f"action must have shape ({size},), not {action.shape}")
+        action = actions_of(action, self.action_space, "action")
         reward = float(episodes.step(action[None])[0])
         episodes.pictures.show()
         return self._observe(), reward, self._is_over(), False, self._info()

@@ -10,6 +10,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from hpac_gym.envs.commands import actions_of
 from hpac_gym.envs.episodes import CONTROL_HZ, Episodes, open_episodes
 from hpac_gym.envs.hand_env import GoalEnv, HandEnv
 from hpac_gym.envs.options import RENDER_MODES, check_count, checked_options, setups_of
@@ -22,8 +23,7 @@ from hpac_gym.envs.vector_infos import (
     of_step,
     seeds_of,
 )
-from hpac_gym.errors import EpisodeError, ShapeError, WorkspaceError
-from hpac_gym.model.checks import as_array
+from hpac_gym.errors import EpisodeError, WorkspaceError
 from hpac_gym.model.command import ACTION_TOLERANCE
 from hpac_gym.physics.engine import Engine
 from hpac_gym.tasks.task import RUNNING, Task
@@ -174,11 +174,7 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         waits = self._mode is AutoresetMode.DISABLED and self._over.any()
         if not self._running or episodes.now is None or waits:
             raise EpisodeError("no episode is running in every environment: call reset() first")
-        actions = as_array(actions, *self.single_action_space.shape, "actions")
-        if actions.shape != self.action_space.shape:
-            raise ShapeError(
-                f"actions must have shape {self.action_space.shape}, not {actions.shape}"
-            )
+        actions = actions_of(actions, self.action_space, "actions")
         stale = self._over.copy()  # under NEXT_STEP these are reset, and their action is ignored
         actions = np.where(stale[:, None], 0.0, actions)
         try:
@@ -253,6 +249,4 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
 
     def close_extras(self, **_: Any) -> None:
         """Release the physics; `close` calls this once."""
-        if self._episodes is not None:
-            self._episodes.close()
-        self._episodes = None
+        HandEnv.close(self)
