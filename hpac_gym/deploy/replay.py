@@ -163,12 +163,11 @@ def simulation(
     commanded = np.full((len(steps), len(SERVOS)), np.nan)
     positions = np.full((len(steps), 3), np.nan)
     with make_env(observer.spec.id, engine=engine, model=observer.model, **options) as env:
-        env.reset(seed=0)
         bare = env.unwrapped  # whose own `reset` would refuse an object that was seen in the hand
         bare.episodes.reset([0], [np.random.default_rng(0)], [setup])
         for i, row in enumerate(steps):
             positions[i] = bare.state.object_pos[0]
-            _, _, over, _, info = env.step(np.array(row["action"], dtype=np.float32))
+            _, _, over, _, info = bare.step(np.array(row["action"], dtype=np.float32))
             commanded[i] = bare.command.servo
             if over:
                 break

@@ -690,6 +690,7 @@ def test_the_simulation_has_the_object_turned_as_it_was_seen(monkeypatch):
     step = {"position": PLACE.position, "quaternion": turn.as_quat(), "action": np.zeros(6)}
     with gymnasium.make(GRASP, engine="mujoco") as env:
         monkeypatch.setattr(replay, "make_env", lambda *_, **__: nullcontext(env))
+        monkeypatch.setattr(env, "reset", None)  # the scene is set up once
         simulation(observer, {}, [step], "mujoco")
         found = env.unwrapped.state.object_rotation[0]
     np.testing.assert_allclose(found, turn.as_matrix(), atol=0.02)
