@@ -72,7 +72,7 @@ MISTAKES = [
         "row 1 must be '# hpac sweep, format 1'",
     ),
     ("hpac deploy tests.test_mistakes:answering:wordless " + POSED, "(action, state), not ndarray"),
-    ("hpac deploy tests.test_mistakes:answering:short " + POSED, "must be 6 numbers"),
+    ("hpac deploy tests.test_mistakes:answering:short " + POSED, "must have shape (..., 6), not"),
     ("hpac deploy grasp " + POSED.removesuffix(" --dry-run"), "--port is missing"),
     ("hpac deploy gentle " + POSED, "HPAC-Gentle-v0 cannot be deployed"),
     ("hpac deploy none.hpac " + POSED, "no policy file 'none.hpac'"),

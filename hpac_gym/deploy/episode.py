@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from hpac_gym.bridge import HandLink, StreamCounts
 from hpac_gym.bridge.link import go, open_hand, release
 from hpac_gym.deploy.arm import Arm
-from hpac_gym.deploy.errors import DeployError, PoseError
+from hpac_gym.deploy.errors import PoseError
 from hpac_gym.deploy.observer import Observer, Pose
 from hpac_gym.deploy.poses import Source, averaged
 from hpac_gym.model import SERVOS
-from hpac_gym.model.checks import Array
+from hpac_gym.model.checks import Array, as_finite_vector
 from hpac_gym.output import Lines, OutputError, keep, writing
 from hpac_gym.policies import Policy
 from hpac_gym.policies.policy import ask
@@ -114,7 +114,7 @@ def run_episode(
 
     Raises:
         PoseError: No pose, one that cannot be observed, or the object was lost while the hand closed.
-        DeployError: The policy gives no action.
+        ShapeError, PolicyError: The policy gives no action. DeployError: the arm is not ready.
         OutputError: The log cannot be written.
         BridgeError: The hand refuses, is stopped, or does not answer.
         KeyboardInterrupt: Ctrl-C, after the hand has opened.
@@ -204,15 +204,12 @@ def decided(
         policy's memory.
 
     Raises:
-        DeployError: The action has another shape, or a number that is not finite.
+        ShapeError: The action has another shape, or something that is not a finite number.
     """
     observation = observer.see(pose)
     given, memory = ask(policy, observation, memory, np.array([begins]))
-    action = np.asarray(given, dtype=float)
-    shape = observer.action_space.shape
-    if action.shape != shape or not np.isfinite(action).all():
-        raise DeployError(f"the policy's action must be {shape[0]} numbers, not {action.tolist()}")
-    action = np.clip(action, -1.0, 1.0)
+    (size,) = observer.action_space.shape
+    action = np.clip(as_finite_vector(given, size, "the policy's action"), -1.0, 1.0)
     return observation, action, observer.command(action), memory
 
 

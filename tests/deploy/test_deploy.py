@@ -36,6 +36,7 @@ from hpac_gym.deploy.observer import TASKS, UPRIGHT, Observer, Pose
 from hpac_gym.deploy.poses import Fixed, Packets, averaged, pose_of, source_of
 from hpac_gym.deploy.replay import simulation
 from hpac_gym.deploy.watching import watched
+from hpac_gym.errors import ShapeError
 from hpac_gym.model import HPAC, servo_from_synergy
 from hpac_gym.model.calibration import Calibration
 from hpac_gym.model.files import hand_to_toml
@@ -268,7 +269,7 @@ def test_a_hand_is_armed_once_there_are_pose_and_action_and_what_is_waited_for_i
     monkeypatch.setattr(link, "arm", lambda **_: pytest.fail("armed"))
     with pytest.raises(PoseError, match=f"no pose of the object within 5 s at udp:{packets.port}"):
         episode(link, failing(None), packets)
-    with pytest.raises(DeployError, match="the policy's action must be 6 numbers"):
+    with pytest.raises(ShapeError, match=r"the policy's action must have shape .*6\), not \(5,\)"):
         episode(link, Deciding(lambda _: np.zeros(5)))
     said = f"waiting for poses at udp:{packets.port}\n"
     assert capsys.readouterr().err == said
@@ -487,10 +488,12 @@ class Full(Log):
             lambda: np.full(6, np.nan),
             Fixed,
             Log,
-            DeployError,
-            "the policy's action must be 6 numbers",
+            ShapeError,
+            r"the policy's action\[0\] = nan must",
         ),
-        (lambda: np.zeros(5), Fixed, Log, DeployError, "the policy's action must be 6 numbers"),
+        (lambda: np.zeros((1, 6)), Fixed, Log, ShapeError, r"must have shape \(6,\), not \(1, 6\)"),
+        (lambda: np.full(6, 1j), Fixed, Log, ShapeError, "complex128 is not a type of real"),
+        (lambda: ["open"] * 6, Fixed, Log, ShapeError, "the policy's action must be an array of"),
         (Mock(side_effect=KeyboardInterrupt("by hand")), Fixed, Log, KeyboardInterrupt, "by hand"),
         (Mock(side_effect=ZeroDivisionError("x")), Fixed, Log, ZeroDivisionError, "x"),
         (
@@ -502,7 +505,7 @@ class Full(Log):
         ),
         (lambda: np.zeros(6), Fixed, Full, OutputError, "No space left"),
     ],
-    ids=["NaN", "shape", "Ctrl-C", "bug", "lost object", "full disk"],
+    ids=["NaN", "shape", "complex", "text", "Ctrl-C", "bug", "lost object", "full disk"],
 )
 def test_the_hand_opens_and_is_disarmed_before_an_error_is_told(fault, source, log, error, says):
     course = []

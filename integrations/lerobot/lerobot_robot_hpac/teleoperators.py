@@ -73,7 +73,7 @@ class HpacTeleoperator(Teleoperator):
         """The six actions that are wanted now, within −1…1.
 
         Raises:
-            ActionError: They are not six finite numbers. DeployError: Those of a policy are not.
+            ActionError: They are not six finite numbers. ShapeError: Those of a policy are not.
         """
         return named(ACTIONS, clipped(named(ACTIONS, self._wanted())))
 

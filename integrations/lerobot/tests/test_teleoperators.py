@@ -214,7 +214,7 @@ def test_an_action_that_is_no_number_ends_it(monkeypatch):
     hand = made("hpac_policy", policy="scripted", object=CAN, pose=PLACE)
     hand.connect()
     monkeypatch.setattr(hand._policy, "predict", lambda *_: (np.full(6, np.nan), None))
-    with pytest.raises(DeployError, match="the policy's action must be 6 numbers"):
+    with pytest.raises(ShapeError, match=r"the policy's action\[0\] = nan must be a finite"):
         hand.get_action()
     hand.disconnect()
 
