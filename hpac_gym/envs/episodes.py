@@ -129,7 +129,9 @@ class Episodes:
             setup = changed_setup(_setup(self.task, self.options, setup_rng, own), values)
             lost = values.get("dropped_frames", 0.0)
             late = values.get("late_frames", 0.0)
-            self.commands.faults[world] = LinkFaults(lost, late, stream(setup_rng, "losses"))
+            self.commands.faults[world] = LinkFaults(
+                lost, late, stream(setup_rng, "losses") if lost or late else None
+            )
             self._camera.start(world, setup, values.get("sensor_noise", 1.0), camera_rng)
             setups.append(setup)
             drawn.append({name: np.atleast_1d(value).tolist() for name, value in values.items()})

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from hpac_gym.envs import GoalEnv, Grasp, GraspAny, HandEnv, Posture, ScriptedClosure
+from hpac_gym.envs.commands import LinkFaults
 from hpac_gym.envs.randomization import PRESETS, Randomization, changed_setup
 from hpac_gym.errors import ParameterError
 from hpac_gym.model import HPAC
@@ -103,6 +104,12 @@ def test_a_dropped_frame_leaves_the_servos_where_they_were_a_late_one_on_the_way
         way = (arrived[step] - arrived[step - 1]) @ (commanded[step] - arrived[step - 1])
         way /= np.sum(np.square(commanded[step] - arrived[step - 1]))
         assert 0 < way < 1 if fault == "late_frames" else way == 0
+
+
+def test_a_faultless_link_has_no_generator_that_every_state_would_copy():
+    with GoalEnv(Posture()) as env:
+        env.reset(seed=0)
+        assert env.episodes.commands.faults == [LinkFaults()]
 
 
 @pytest.mark.parametrize("name", BOUNDS)
