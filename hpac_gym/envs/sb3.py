@@ -10,6 +10,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
+from hpac_gym.envs.randomization import randomization
 from hpac_gym.envs.vector_env import ATTRIBUTES, HandVectorEnv, require
 from hpac_gym.errors import ParameterError, install
 from hpac_gym.tasks.task import CONTROL_HZ
@@ -107,10 +108,10 @@ class HandVecEnv(VecEnv):
         """Set an attribute of some environments, by default of all, to one value; see
         `HandVectorEnv.set_attr`.
         """
-        require("set_attr", attr_name, "randomization")  # as there
+        require("set_attr", attr_name, "randomization")  # as there, and so for its value
         values = list(self.envs.get_attr(attr_name))
         for world in self._get_indices(indices):
-            values[world] = value
+            values[world] = randomization(value)
         self.envs.set_attr(attr_name, values)
 
     def env_method(

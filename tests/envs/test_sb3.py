@@ -113,6 +113,8 @@ def test_on_pybullet_an_unknown_attribute_ends_no_process_and_options_are_the_sa
     assert not envs.has_attr("nonsense")
     with pytest.raises(AttributeError, match=r"set_attr: 'foo' is not one of randomization"):
         envs.set_attr("foo", 1)
+    with pytest.raises(ParameterError, match="randomize must be a preset"):
+        envs.set_attr("randomization", "ful")
     envs.set_attr("randomization", "full", indices=[1])
     assert envs.get_attr("randomization") == [PRESETS["nominal"], PRESETS["full"]]
     assert envs.reset()["observation"].shape[0] == 2
