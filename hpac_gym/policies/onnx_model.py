@@ -135,13 +135,11 @@ def read_onnx(folder: Path, env: gymnasium.Env[Any, Any]) -> LearnedPolicy:
             raise ValueError(f"the inputs of its model are {', '.join(inputs)}, not observation")
         ends = session.get_inputs()[0].shape[1], session.get_outputs()[0].shape[1]
         sizes = sizes_of(ends, closures, moves)
-        require_fit(f"exported policy '{folder}'", described, sizes, env)
-    except PolicyError:
-        raise
     except Exception as error:  # a damaged file can make its reader raise anything
         raise PolicyError(
             f"'{folder}' is not an exported policy: {str(error).splitlines()[0]}"
         ) from None
+    require_fit(f"exported policy '{folder}'", described, sizes, env)
 
     def decide(observation: NDArray[Any]) -> NDArray[np.float32]:
         seen = np.asarray(observation, np.float32)[None]

@@ -189,6 +189,7 @@ def test_a_damaged_export_ends_in_one_line(folder, env, name):
         ),
         ({"decision": {"control_steps": 1.5, "closure": None}}, "control_steps is 1.5, and must"),
         ({"decision": {"control_steps": "x", "closure": None}}, "is not an exported policy"),
+        ({"decision": {"closure": []}}, "is not an exported policy: invalid Closures"),
         ({"observation": [{"name": "servo"}]}, "is damaged: made_for is not readable"),
         ({"control_hz": 50}, "control_hz was 50, and is 20"),
         (
