@@ -150,7 +150,7 @@ def record(
         options: options of the environment.
 
     Raises:
-        DatasetError: `out` exists already, or the environment's `entry_point` is no text.
+        DatasetError: `out` exists already, or the environment's `entry_point` or options are no text.
         OutputError: `out` cannot be written.
         PolicyError: The policy does not exist, or was made for another environment.
     """
@@ -165,7 +165,7 @@ def record(
             actor = load_policy(policy, env, normalize)
             try:
                 env.unwrapped.spec.to_json()
-            except ValueError as error:
+            except (TypeError, ValueError) as error:
                 raise DatasetError(f"a data set cannot name {env_id}: {error}") from None
             dataset = None
             task = re.sub(r"-v\d+$", "", env_id.rpartition(":")[2].removeprefix("HPAC-")).lower()

@@ -13,10 +13,11 @@ from agents import RunError, clone
 from hpac import main
 from hpac_gym.errors import DatasetError
 from hpac_gym.evaluation.dataset import _appearing, read_dataset, record
+from hpac_gym.model import HPAC
 from hpac_gym.output import OutputError
 from hpac_gym.policies import read_policy
 from hpac_gym.policies.loading import load_policy
-from hpac_gym.registration import GENTLE, POSTURE
+from hpac_gym.registration import GENTLE, GRASP, POSTURE
 from hpac_gym.tasks.posture import ScriptedPosture
 from tests.processes import started, wait_for
 from tests.tiny_task import Tiny
@@ -130,6 +131,8 @@ def test_an_environment_that_no_text_names_is_not_recorded(tmp_path, unnumbered)
     gymnasium.registry["Bare"].entry_point = Tiny
     with pytest.raises(DatasetError, match="a data set cannot name Bare: Callable found"):
         record(f"{__name__}:still", unnumbered, 1, tmp_path / "new")
+    with pytest.raises(DatasetError, match="a data set cannot name HPAC-Grasp-v0: cannot pickle"):
+        record("scripted", GRASP, 1, tmp_path / "new", options={"model": HPAC})
     assert list(tmp_path.iterdir()) == []
 
 
