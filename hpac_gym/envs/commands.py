@@ -4,7 +4,7 @@ motion.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, lru_cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +22,9 @@ from hpac_gym.model import (
     Hand,
     ServoCommand,
     action_from_synergy,
+    elastic_joints_from_servo,
     load_hand,
+    servo_from_synergy,
     streamed_servo,
 )
 from hpac_gym.model.calibration import Calibration, Friction
@@ -107,6 +109,8 @@ class Commands:
         self._flexing = np.ones((num_worlds, len(SERVOS)), dtype=bool)
         self.faults = [LinkFaults()] * num_worlds
         self._map = CommandMap(model if isinstance(model, Hand) else HPAC, num_worlds)
+        # Most tasks begin with the same posture.
+        self._start_of = lru_cache(maxsize=16)(partial(_start_of, self._map.bounds))
 
     def start(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
         """Begin episodes in some worlds: hands at rest at the synergies of their setups."""
@@ -114,14 +118,17 @@ class Commands:
         self.servo, self.predicted, self.last_action = (
             kept.copy() for kept in (self.servo, self.predicted, self.last_action)
         )
+        for world, setup in zip(worlds, setups, strict=True):
+            start = self._start_of(*setup.synergy.tolist())
+            self.servo[world], self.predicted[world], self.last_action[world] = start
         index = np.asarray(worlds)
-        synergy = np.stack([setup.synergy for setup in setups])
+        self._flexing[index] = True
         if isinstance(self._model, str):
             self._map.take(worlds, [_model(self._model, setup) for setup in setups])
-        self.last_action[index] = action_from_synergy(synergy, self._map.bounds)
-        self._flexing[index] = True
-        self.servo[index] = self._map.servo_from_synergy(synergy, self._flexing[index], index)
-        self.predicted[index] = self._map.joints_from_servo(self.servo, self._flexing)[index]
+        if self._map.inverts_files:
+            synergy = np.stack([setup.synergy for setup in setups])
+            self.servo[index] = self._map.servo_from_synergy(synergy, self._flexing[index], index)
+            self.predicted[index] = self._map.joints_from_servo(self.servo, self._flexing)[index]
         self._arrived[index] = self.servo[index]
 
     def target(self, actions: NDArray) -> Array:
@@ -262,6 +269,14 @@ class Wrists:
                 f"push must return None or forces of shape {way.shape}, not {np.shape(push)}"
             )
         return way, push
+
+
+def _start_of(hand: Hand, *synergy: float) -> tuple[Array, Array, Array]:
+    """Servo angles [rad], predicted joint angles [rad] and action of a hand that starts at a
+    synergy [rad].
+    """
+    servo = servo_from_synergy(synergy, hand)
+    return servo, elastic_joints_from_servo(servo, hand), action_from_synergy(synergy, hand)
 
 
 def _model(name: str, setup: SceneSetup) -> Hand:

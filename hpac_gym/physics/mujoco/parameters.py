@@ -2,13 +2,14 @@
 written from their setups.
 """
 
+import math
 from functools import lru_cache
 from typing import Any
 
 import mujoco
 import numpy as np
 from mujoco.batch import Batch
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from hpac_gym.body.geometry import Geometry
 from hpac_gym.body.object_models import ObjectModel, principal_inertia
@@ -170,10 +171,12 @@ class Parameters:
         fields = self.fields
         ids = self._at.boxes
         for geom, box in zip(ids, support_boxes(setup), strict=True):
+            half = box.half_extents
             x, y, z, w = box.quaternion
-            values = _geom_fields("box", *box.half_extents.tolist(), box.centre, (w, x, y, z))
-            for name, value in values.items():
-                fields[name][world, geom] = value
+            fields["geom_size"][world, geom] = fields["geom_aabb"][world, geom, 3:] = half
+            fields["geom_rbound"][world, geom] = math.hypot(*half)
+            fields["geom_pos"][world, geom] = box.centre
+            fields["geom_quat"][world, geom] = w, x, y, z
         fields["geom_friction"][world, ids, 0] = SUPPORT_FRICTION * setup.object.friction
 
 
@@ -208,7 +211,7 @@ def _geoms_of(model: ObjectModel, scale: float) -> tuple[NDArray[np.intp], dict[
 
 
 def _geom_fields(
-    kind: str, x: float, y: float, z: float, place: Array = _ORIGIN, turn: ArrayLike = _STRAIGHT
+    kind: str, x: float, y: float, z: float, place: Array = _ORIGIN, turn: Array = _STRAIGHT
 ) -> dict[str, Any]:
     """MuJoCo's geom fields of a solid with these half-extents [m], at a place [m], turned by a
     quaternion wxyz.
