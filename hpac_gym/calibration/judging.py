@@ -169,7 +169,7 @@ def _judged_joints(
         if np.isnan(travel[joint]):
             continue
         noise = noise_of(deviations[:, joint])
-        share = travel[joint] / wanted[joint]
+        share = np.copysign(travel[joint], np.nanmean(medians[:, joint])) / wanted[joint]
         garbage = (np.abs(deviations[:, joint]) > FAR * noise).sum() / (
             ~np.isnan(deviations[:, joint])
         ).sum()
@@ -190,7 +190,8 @@ def _judged_joints(
         elif not LEAST_SHARE <= share <= MOST_SHARE:
             others = f", but {movers} moved" if movers else ""
             faults.append(
-                f"{where}: {JOINTS[joint]} turns {share:.2f} of the design's travel{others}; does it rest, or {_HINT}"
+                f"{where}: {JOINTS[joint]} turns {share:z.2f} of the design's travel{others}; "
+                f"does it rest, or count the other way, or {_HINT}"
             )
     if faults:
         return faults, remarks

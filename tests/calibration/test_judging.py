@@ -65,7 +65,11 @@ REFUSED = [
         lambda record: with_joint(
             record, "ring_dip", np.random.default_rng(0).normal(0.0, 2e-3, len(record))
         ),
-        r"ring_dip turns 0\.00 of the design's travel; does it rest, or are labels exchanged\?",
+        r"ring_dip turns 0\.00 of the design's travel; does it rest, or count the other way",
+    ),
+    (
+        lambda record: record.with_joint_pos(-record.joint_pos),
+        r"thumb_ip turns -0\.9\d of the design's travel; .* count the other way, or are labels exch",
     ),
     (
         lambda record: garbage(record, 0.3),
