@@ -120,8 +120,10 @@ class Lines:
 def read_text(
     path: Path, what: str, error: Callable[[str], HpacError], encoding: str = "utf-8"
 ) -> str:
-    """Text of a file; if it cannot be read, or is no UTF-8, the error says so and what it is."""
+    """Text of a file; if it cannot be read, or is a device or no UTF-8, the error says so and what it is."""
     try:
+        if path.is_char_device():  # it may be read without end
+            raise OSError(0, "it is a device")
         return path.read_text(encoding=encoding)
     except (OSError, UnicodeDecodeError) as fault:
         reason = fault.strerror if isinstance(fault, OSError) else "not UTF-8 text"

@@ -18,6 +18,7 @@ from hpac_gym.camera import CameraError, opencv
 from hpac_gym.camera.sheet import TAGS
 from hpac_gym.errors import HpacError
 from hpac_gym.model.checks import Array
+from hpac_gym.output import read_text
 from hpac_gym.settings import check_bounds, setting
 
 HD = (1280, 720)
@@ -112,8 +113,9 @@ def load_lens(path: Path) -> Lens:
     Raises:
         CameraError: It cannot be read, or is no such file, or a number is missing.
     """
+    text = read_text(path, "camera", CameraError)
     try:
-        table = json.loads(path.read_text(encoding="utf-8"))
+        table = json.loads(text)
         if table.pop("hpac_camera") != 1:
             raise CameraError("hpac_camera is not 1")
         lens = Lens(**table)
@@ -122,9 +124,7 @@ def load_lens(path: Path) -> Lens:
                 f"without {', '.join(missing)}; `hpac tags --calibrate` measures them"
             )
         return lens
-    except OSError as error:
-        raise CameraError(f"camera {path}: {error.strerror}") from None
-    except (ValueError, KeyError, TypeError, AttributeError, CameraError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError, CameraError) as error:
         raise CameraError(f"camera {path}: {error}") from None
 
 

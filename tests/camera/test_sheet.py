@@ -3,6 +3,7 @@ checked.
 """
 
 import re
+from pathlib import Path
 from unittest.mock import Mock
 
 import cv2
@@ -164,6 +165,7 @@ def test_the_same_picture_again_calibrates_nothing():
     [
         ("{", "camera .*: Expecting property name"),
         ("[1]", "camera .*"),
+        ("[" * 100_000, "camera .*: maximum recursion depth"),
         ('{"hpac_camera": 2}', "hpac_camera is not 1"),
         ('{"hpac_camera": 1, "focal": [1, 2, 3]}', r"focal = \[1, 2, 3\] pixels must be 2 values"),
         ('{"hpac_camera": 1, "focal": [-1, 1]}', r"must be 2 values within \]0, inf\[ pixels"),
@@ -194,6 +196,12 @@ def test_a_malformed_camera_file_is_one_line(tmp_path, text, says):
     path.write_text(text)
     with pytest.raises(CameraError, match=says):
         load_lens(path)
+
+
+@pytest.mark.skipif(not Path("/dev/null").exists(), reason="no device that is empty")
+def test_a_device_is_no_camera_file():
+    with pytest.raises(CameraError, match="camera /dev/null: it is a device"):
+        load_lens(Path("/dev/null"))
 
 
 def test_a_camera_file_is_read_as_it_was_written(tmp_path):
