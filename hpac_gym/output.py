@@ -1,5 +1,6 @@
 """Text files read with errors of one line, tables, atomic file writes, and files of lines."""
 
+import hashlib
 import json
 import os
 import tempfile
@@ -128,6 +129,14 @@ def read_text(
     except (OSError, UnicodeDecodeError) as fault:
         reason = fault.strerror if isinstance(fault, OSError) else "not UTF-8 text"
         raise error(f"{what} {path}: {reason}") from None
+
+
+def file_hash(path: Path, error: Callable[[str], HpacError]) -> str:
+    """SHA-256 of a file, in hexadecimal digits; if it cannot be read, the error says so."""
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError as fault:
+        raise error(f"cannot read '{path}': {fault.strerror}") from None
 
 
 def writable_folder(path: Path) -> Path:

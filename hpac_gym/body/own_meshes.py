@@ -3,7 +3,6 @@
 CoACD computes the parts once; they are cached in a file beside the mesh, so that only the first
 call is slow."""
 
-import hashlib
 import json
 import math
 import os
@@ -17,7 +16,7 @@ from hpac_gym.body.object_models import Hull, Solid
 from hpac_gym.command import stopped_later
 from hpac_gym.errors import ParameterError, install
 from hpac_gym.model.checks import Array
-from hpac_gym.output import OutputError, writable_file, write_text
+from hpac_gym.output import OutputError, file_hash, writable_file, write_text
 from hpac_gym.progress import waiting
 
 MESHES = (".stl", ".obj", ".ply", ".off")
@@ -61,10 +60,7 @@ def of_mesh(
     if path.suffix.lower() not in MESHES:
         raise ParameterError(f"'{path}' is not one of {', '.join(MESHES)}, nor a .urdf")
     kept = (path.parent if folder is None else Path(folder)) / f"{path.stem}.hulls.json"
-    try:
-        made_from = {"sha256": hashlib.sha256(path.read_bytes()).hexdigest(), "coacd": settings}
-    except OSError as error:
-        raise ParameterError(f"cannot read mesh '{path}': {error.strerror}") from None
+    made_from = {"sha256": file_hash(path, ParameterError), "coacd": settings}
     parts = _kept(kept, made_from)
     if parts is None:
         try:

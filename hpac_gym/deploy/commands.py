@@ -4,7 +4,6 @@ The object's pose comes from a source, the arm is told when each phase begins, a
 into a log. Ctrl-C opens the hand slowly and disarms it."""
 
 import argparse
-import hashlib
 import sys
 import time
 from contextlib import ExitStack, closing, suppress
@@ -34,6 +33,7 @@ from hpac_gym.deploy.poses import averaged, source_of
 from hpac_gym.evaluation import options as environment
 from hpac_gym.model import SERVOS, load_hand
 from hpac_gym.model.files import hand_to_toml
+from hpac_gym.output import file_hash
 from hpac_gym.policies.loading import NAMES, NORMALIZE, load_policy, needed_options
 from hpac_gym.policies.policy_file import policy_path
 
@@ -177,7 +177,7 @@ def _head(
     return {
         "began": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
         "policy": options.policy,
-        "policy_sha256": hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else None,
+        "policy_sha256": file_hash(path, DeployError) if path.is_file() else None,
         "env_id": observer.spec.id,
         "grasp": options.grasp,
         "options": given,

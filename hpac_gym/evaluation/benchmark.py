@@ -8,7 +8,6 @@ installed, its splits are left out, and the file says so.
 the same environment which of them is better."""
 
 import argparse
-import hashlib
 import json
 import os
 import shlex
@@ -48,7 +47,7 @@ from hpac_gym.evaluation.splits import (
     splits_of,
 )
 from hpac_gym.evaluation.statistics import wilson_interval
-from hpac_gym.output import writable_file, write_text
+from hpac_gym.output import file_hash, writable_file, write_text
 from hpac_gym.physics.simulation import is_installed
 from hpac_gym.policies.loading import NAMES, NORMALIZE, about, load_policy
 from hpac_gym.policies.onnx_model import MODEL
@@ -111,7 +110,7 @@ def _seeded(name: str | None, seed: int) -> str | None:
 
 def _file(name: str, told: dict[str, Any]) -> dict[str, Any]:
     # A policy file has that of its weights: a resumed training writes the same ones into another file.
-    digest = told.get("sha256") or hashlib.sha256((Path(name) / MODEL).read_bytes()).hexdigest()
+    digest = told.get("sha256") or file_hash(Path(name) / MODEL, ResultsError)
     told = told.get("training", told)  # of an exported policy
     keys = ("algorithm", "env_steps", "seed", "normalize_sha256")
     return {"sha256": digest, **{key: told[key] for key in keys if key in told}}

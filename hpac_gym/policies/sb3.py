@@ -5,7 +5,6 @@ The algorithm is not needed: a model's zip names the class of its policy, with i
 weights. Reading one executes what is pickled in it, as `PPO.load` does: open only files that you
 trust."""
 
-import hashlib
 import json
 import os
 import zipfile
@@ -20,6 +19,7 @@ from gymnasium.vector.utils import iterate
 from numpy.typing import NDArray
 
 from hpac_gym.errors import PolicyError, install
+from hpac_gym.output import file_hash
 from hpac_gym.policies.made_for import id_of
 
 NONE = "none"
@@ -96,22 +96,15 @@ def about_model(path: Path, normalize: str | None = None) -> dict[str, Any]:
     """
     data = _data(path)
     kind = data.get("policy_class")
-    told: dict[str, Any] = {"sha256": _digest(path)}
+    told: dict[str, Any] = {"sha256": file_hash(path, PolicyError)}
     if isinstance(kind, dict) and "__module__" in kind:
         told["algorithm"] = str(kind["__module__"])
     if isinstance(data.get("num_timesteps"), int):
         told["env_steps"] = data["num_timesteps"]
     if (statistics := statistics_of(path, normalize)) is not None:
         told["normalize"] = str(statistics)
-        told["normalize_sha256"] = _digest(statistics)
+        told["normalize_sha256"] = file_hash(statistics, PolicyError)
     return told
-
-
-def _digest(path: Path) -> str:
-    try:
-        return hashlib.sha256(path.read_bytes()).hexdigest()
-    except OSError as error:
-        raise PolicyError(f"cannot read '{path}': {error.strerror}") from None
 
 
 def _data(path: Path) -> dict[str, Any]:
