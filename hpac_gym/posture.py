@@ -90,8 +90,7 @@ def commands_to(item: Posture, hand: Hand = HPAC) -> list[ServoCommand]:
     servo = reach(item.target_joint_pos, hand).servo
     duration = max(move_duration(hand.servo_min, servo, hand), 0.1)
     rest = np.clip(0.0, hand.servo_min, hand.servo_max)
-    gesture = item.kind == "gesture"
-    still_open = [("thumb_mp", *FINGERS), ("thumb_mp",), ()] if gesture else [()]
+    still_open = [("thumb_mp", *FINGERS), ("thumb_mp",), ()] if item.kind == "gesture" else [()]
     return [
         ServoCommand(np.where(np.isin(SERVOS, names), rest, servo), duration)
         for names in still_open

@@ -77,7 +77,7 @@ class CommandMap:
         for place, hand in zip(places, hands, strict=True):
             self.hands[place] = hand
             if id(hand) not in self._known:
-                self._known[id(hand)] = hand, *_tables(hand, HPAC)
+                self._known[id(hand)] = hand, *_tables(hand)
             _, self._servo[place], self._joint_pos[place] = self._known[id(hand)]
 
     def servo_from_action(self, action: Array, flexing: Array) -> Array:
@@ -103,10 +103,9 @@ class CommandMap:
         """Servo angles for synergies within Table I at some places, shape (k, 6) [rad]."""
         if not self.inverts_files:
             return unchecked_servo_from_synergy(np.asarray(synergy, dtype=float), self.hands[0])
-        board = HPAC
-        share = (synergy - board.synergy_min) / (board.synergy_max - board.synergy_min)
+        share = (synergy - HPAC.synergy_min) / (HPAC.synergy_max - HPAC.synergy_min)
         servo = _interpolated(self._servo[places], share, flexing, _SERVO_OF_SERVO)
-        return np.clip(servo, board.servo_min, board.servo_max)
+        return np.clip(servo, HPAC.servo_min, HPAC.servo_max)
 
     def joints_from_servo(self, servo: Array, flexing: Array) -> Array:
         """Joint angles that the models predict for servo angles, shape (n, 6) → (n, 15) [rad]."""
@@ -141,13 +140,13 @@ def _alone(rows: Array) -> Array:
     return rows[0] if len(rows) == 1 else rows
 
 
-def _tables(hand: Hand, board: Hand) -> tuple[Array, Array]:
+def _tables(hand: Hand) -> tuple[Array, Array]:
     """Tables of one calibrated hand, for both directions, flexion first: servo angle over the
     synergy's range, shape (2, 6, `POINTS`), and predicted joint angles over the servo's range,
     shape (2, 15, `POINTS`) [rad].
     """
-    synergy = np.linspace(board.synergy_min, board.synergy_max, POINTS)
-    servo = np.linspace(board.servo_min, board.servo_max, POINTS)
+    synergy = np.linspace(HPAC.synergy_min, HPAC.synergy_max, POINTS)
+    servo = np.linspace(HPAC.servo_min, HPAC.servo_max, POINTS)
     return (
         np.stack([settled_servo_from_synergy(synergy, hand, way).T for way in _DIRECTIONS]),
         np.stack([settled_joints_from_servo(servo, hand, way).T for way in _DIRECTIONS]),
