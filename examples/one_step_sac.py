@@ -60,6 +60,8 @@ def train(s: Settings) -> Path:
     decided = len(closures.names)
     how = {"engine": "mujoco", "obs": "privileged", "autoreset_mode": "Disabled"}
     envs = gymnasium.make_vec(s.env, s.num_envs, **how)
+    if envs.single_action_space.shape != (6,) or not envs.single_observation_space.shape:
+        raise SystemExit(f"error: env is {s.env!r}: a closure sees a vector and gives six actions")
     task = envs.get_attr("task")[0]
     phases = torch.arange(len(task.phases))
     observed = envs.single_observation_space.shape[0]
@@ -110,10 +112,8 @@ def train(s: Settings) -> Path:
             steps[over] = 0
             arms[over] = rng.uniform(-1, 1, (over.sum(), decided))
             if updates:
-                with torch.no_grad():
-                    arms[over] = sample(actor, scaled(first[over])[:, :deployed])[0].numpy()
-        actions = closures.actions(arms, steps).astype(np.float32)
-        _, _, over, _, infos = envs.step(actions)
+                arms[over] = sample(actor, scaled(first[over])[:, :deployed])[0].detach().numpy()
+        _, _, over, _, infos = envs.step(closures.actions(arms, steps).astype(np.float32))
         steps += 1
         for world in np.flatnonzero(over):
             seen[count] = first[world]

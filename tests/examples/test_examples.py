@@ -59,12 +59,16 @@ def test_an_example_trains_a_policy_wherever_it_is_copied(tmp_path):
     (only_the_package / "hpac_gym").symlink_to(Path(hpac_gym.__file__).parent)
     lines = [[f"{name}.py", "--out", name, *words] for name, words in WORDS.items()]
     lines.append(["one_step_sac.py", "--out", "short", *SHORT])
+    refused = ["one_step_sac.py", "--env", "hpac_gym:HPAC-GraspType-v0"]
     done = python(
-        *("-c", ONE_AFTER_THE_OTHER, json.dumps(lines)),
+        *("-c", ONE_AFTER_THE_OTHER, json.dumps([*lines, refused])),
         folder=tmp_path,
         PYTHONPATH=str(only_the_package),
     )
-    assert done.returncode == 0, done.stderr
+    said = (
+        "error: env is 'hpac_gym:HPAC-GraspType-v0': a closure sees a vector and gives six actions"
+    )
+    assert done.stderr.splitlines()[-1] == said
     with gymnasium.make("hpac_gym:HPAC-Grasp-v0", engine="mujoco") as env:
         for name, _, out, *_ in lines:
             written = f"{out}/{WRITES[name.removesuffix('.py')]}"
