@@ -31,7 +31,7 @@ TESTS = {
     "evidence": "oracle evidence conform",
 }
 EQUIVALENT = {
-    "commands.py swap move_duration(rest, command.servo, hand) → move_duration(command.servo, rest, hand)": "as long back",
+    "commands.py swap move_duration(pose, command.servo, hand) → move_duration(command.servo, pose, hand)": "as long back",
     "commands.py swap move_duration(rest, target, hand) → move_duration(target, rest, hand)": "as long back",
     "errors.py shift 3 → 6 in warnings.warn(warning, stacklevel=3)": "the line that a warning is blamed on",
     "evidence/codec.py delete self._rest = self._rest[-300:]": "bounds the memory alone",
