@@ -134,7 +134,7 @@ class Judge:
 
     def _failure(self, *tests: str) -> str:
         """The first test that fails, hangs or crashes; empty if none does."""
-        command = [sys.executable, "-m", "pytest", "-x", "-q", "-pno:cacheprovider", "-pno:xdist"]
+        command = [sys.executable, "-m", "pytest", "-xrfE", "-pno:cacheprovider", "-pno:xdist"]
         # A loop without end must not take all of the memory.
         limited = ["sh", "-c", 'ulimit -v 8388608; exec "$0" "$@"', *command, *tests]
         variables = {
@@ -155,7 +155,7 @@ class Judge:
             )
         except subprocess.TimeoutExpired:
             return "hangs"
-        named = re.findall(r"^(?:FAILED|ERROR) (\S+)", done.stdout, re.M)
+        named = re.findall(r"^(?:FAILED|ERROR) (.+?)(?: - .*)?$", done.stdout, re.M)
         return "" if done.returncode == 0 else (*named, "crashes")[0]
 
     def notices(self, module: Path, becomes: str) -> str:
