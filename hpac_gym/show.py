@@ -12,7 +12,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
-from hpac_gym.command import add_json, say, whole_number
+from hpac_gym.command import add_json, ended_as_by_ctrl_c, say, whole_number
 from hpac_gym.envs import HandEnv
 from hpac_gym.errors import ParameterError
 from hpac_gym.evaluation.environment import make_env
@@ -54,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--no-browser", action="store_true", help="print the page's address only")
     add_json(parser)
-    parser.set_defaults(run=run)
+    parser.set_defaults(run=ended_as_by_ctrl_c()(run))
 
 
 def run(options: argparse.Namespace) -> int:

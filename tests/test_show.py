@@ -87,6 +87,17 @@ sys.exit(hpac.main(sys.argv[1:]))
     assert not list(tmp_path.iterdir())
 
 
+def test_a_film_that_is_ended_leaves_nothing(tmp_path):
+    words = [*OTHERS, f"{tmp_path}/film.gif", "--episodes", "100000"]
+    with started("-m", "hpac", *words) as running:
+        running.stdout.readline()
+        assert list(tmp_path.iterdir())
+        running.send_signal(signal.SIGTERM)
+        _, complaints = running.communicate(timeout=60)
+    assert (running.returncode, complaints.splitlines()[-1]) == (130, "interrupted")
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_film_without_its_encoder_names_the_extra(tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     said = refused(capsys, lambda: hpac.main(["show", "--record", str(tmp_path / "film.mp4")]))
