@@ -24,7 +24,7 @@ class RunError(HpacError, OSError):
     """A results folder cannot be read or written."""
 
 
-def target_of(env_id: str, **options) -> dict[str, Any]:
+def target_of(env_id: str, /, **options) -> dict[str, Any]:
     """Fields of a policy file that identify its environment, with the module that registers it: `env_id`,
     `made_for`, and of the options those without which the policy does not fit, `obs` and `wrist`.
 

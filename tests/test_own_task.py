@@ -19,7 +19,7 @@ from hpac_gym.envs import Grasp, HandEnv, HandVectorEnv, Posture, make_task
 from hpac_gym.envs.registered import options_of_id
 from hpac_gym.envs.snapshots import undeclared
 from hpac_gym.errors import EnvError, HpacError, ParameterError
-from hpac_gym.evaluation.environment import make_env
+from hpac_gym.evaluation.environment import make_env, make_envs
 from hpac_gym.tasks.grasp import GraspConfig
 from hpac_gym.tasks.task import Task
 from hpac_gym.tasks.terms import RewardTerm, Term, column
@@ -407,6 +407,22 @@ def test_a_module_that_cannot_be_imported_is_told_in_one_line(tmp_path, monkeypa
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(EnvError, match=f"^no environment {told}$"):
         make_env("broken_task:Mine-v0")
+
+
+class Counting(Grasp):
+    def __init__(self, count=0, row=0, env_id=0):
+        super().__init__()
+        self.given = (count, row, env_id)
+
+
+def test_an_option_may_have_any_name():
+    hpac_gym.register("Counting-v0", Counting)
+    given = {"count": 1, "row": 2, "env_id": 3}
+    with (
+        make_env("Counting-v0", **given) as env,
+        closing(make_envs("Counting-v0", 2, **given)) as envs,
+    ):
+        assert env.unwrapped.task.given == envs.unwrapped.task.given == (1, 2, 3)
 
 
 @pytest.mark.filterwarnings("ignore:.*Overriding environment")

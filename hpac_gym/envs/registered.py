@@ -23,7 +23,7 @@ _UNLISTED = ("transmit", "physics", "max_episode_steps")
 """Arguments of the environments that no page lists: not options of an id."""
 
 
-def make_task(env_id: str, **options: Any) -> Task:
+def make_task(env_id: str, /, **options: Any) -> Task:
     """Make the task of a registered id.
 
     Args:
@@ -106,7 +106,7 @@ def _given(row: Registered, options: dict[str, Any]) -> tuple[Task, dict[str, An
     return task, own, options
 
 
-def _one(row: Registered, **options: Any) -> HandEnv:
+def _one(row: Registered, /, **options: Any) -> HandEnv:
     """One environment."""
     task, _, others = _given(row, options)
     return (GoalEnv if task.goal_terms else HandEnv)(task, **others)
@@ -114,6 +114,7 @@ def _one(row: Registered, **options: Any) -> HandEnv:
 
 def _many(
     row: Registered,
+    /,
     num_envs: int = 1,
     autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
     **options: Any,
@@ -133,7 +134,7 @@ def _many(
     return AsyncVectorEnv([make] * num_envs, autoreset_mode=autoreset_mode, context="spawn")
 
 
-def _in_process(row: Registered, **options: Any) -> gymnasium.Env:
+def _in_process(row: Registered, /, **options: Any) -> gymnasium.Env:
     add_row(row)
     return gymnasium.make(row.id, **options)
 

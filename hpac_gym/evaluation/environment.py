@@ -19,7 +19,7 @@ from hpac_gym.registration import register_all
 LIBRARIES = ("hpac_gym", "numpy", "gymnasium", "mujoco-core", "pybullet", "torch")
 
 
-def make_env(env_id: str, **options: Any) -> gymnasium.Env[Any, Any]:
+def make_env(env_id: str, /, **options: Any) -> gymnasium.Env[Any, Any]:
     """Create the environment of an id, ``name-v0`` or ``module:name-v0``; an object may be given as
     in `hpac_gym.evaluation.options.object_of`.
 
@@ -45,7 +45,7 @@ def make_env(env_id: str, **options: Any) -> gymnasium.Env[Any, Any]:
     return env
 
 
-def make_envs(env_id: str, count: int, **options: Any) -> VectorEnv[Any, Any, Any]:
+def make_envs(env_id: str, count: int, /, **options: Any) -> VectorEnv[Any, Any, Any]:
     """Create n environments of an id without autoreset.
 
     Raises:
