@@ -32,8 +32,9 @@ def setting(default: Any = MISSING, meaning: str = "", **more: Any) -> Any:
             given.
         meaning: its meaning for the documentation.
         more: for `check_bounds`: `bounds`, lowest and highest value; `above` is True if the lowest
-            one is refused; `unit`; `size`, number of values, 0 for any; `number` is True for a
-            number without a default, or whose default is None. Anything else is up to the caller.
+            one is refused; `unit`, unless the meaning has it in [ ]; `size`, number of values, 0 for
+            any; `number` is True for a number without a default, or whose default is None. Anything
+            else is up to the caller.
     """
     return field(default=default, metadata={"meaning": meaning, **more})
 
@@ -116,11 +117,11 @@ def _bounded(kind: type) -> tuple[_Bounded, ...]:
             if ordered
             else f"{count or ''} values".lstrip()
         )
-        unit = f" {told['unit']}" if "unit" in told else ""
+        unit = told.get("unit") or told.get("meaning", "").partition("[")[2].partition("]")[0]
         begin = "]" if told.get("above") or low == -math.inf else "["
         lowest = math.nextafter(low, math.inf) if told.get("above") else low
         end = "[" if high == math.inf else "]"
-        words = f"{unit.strip()} must be {what} within {begin}{low:g}, {high:g}{end}{unit}".strip()
+        words = f"{unit} must be {what} within {begin}{low:g}, {high:g}{end} {unit}".strip()
         rows.append(_Bounded(entry.name, entry.default, lowest, high, count, ordered, words))
     return tuple(rows)
 

@@ -273,7 +273,7 @@ MISTAKES = [
     ),
     (f"{TRAIN} --env HPAC-Posture-v1", "a closure cannot follow goals"),
     (f"{TRAIN} --set wing=3", "env is 'HPAC-Grasp-v0', and has no such option"),
-    (f"{TRAIN} --set config.gap=3", "config gap = 3 must be a range"),
+    (f"{TRAIN} --set config.gap=3", "config gap = 3 m must be a range"),
     (f"{TRAIN} --engine mujoco --set-ups mujoco/twin", "name one set-up"),
     (f"{TRAIN} --set obs=deploy", "obs is 'deploy': a training of closures has its own"),
     (f"{TRAIN} --set reward=sparse", "reward is 'sparse': a training of closures has"),

@@ -21,13 +21,12 @@ class CameraNoise:
     """
 
     position: float = setting(
-        0.0015, "noise of each coordinate, drawn every step [m]", bounds=(0.0, inf), unit="m"
+        0.0015, "noise of each coordinate, drawn every step [m]", bounds=(0.0, inf)
     )
     angle: float = setting(
         0.02,
         "noise of the rotation about each axis, drawn every step [rad]",
         bounds=(0.0, inf),
-        unit="rad",
     )
     size: float = setting(
         0.03, "relative noise of each half-extent, drawn once per episode", bounds=(0.0, inf)

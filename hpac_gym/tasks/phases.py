@@ -35,14 +35,12 @@ class Timetable:
         0.02,
         "amplitude of the shake along x, then y, then z, so in six directions [m]",
         bounds=(0.0, inf),
-        unit="m",
     )
     place_time: float = _duration(0.5)
     clearance: float = setting(
         MAX_SLIP,
         "final height of the wrist above its start, so that a held object does not touch its support at the end [m]",
         bounds=(0.0, inf),
-        unit="m",
     )
 
     def __post_init__(self) -> None:

@@ -26,14 +26,11 @@ class Faults:
         0.0, "share of the frames that are lost, in each direction", bounds=(0.0, 1.0)
     )
     damage: float = setting(0.0, "share of the frames that are damaged", bounds=(0.0, 1.0))
-    jitter: float = setting(
-        0.0, "the host's frames are late by up to this [s]", bounds=(0.0, 10.0), unit="s"
-    )
+    jitter: float = setting(0.0, "the host's frames are late by up to this [s]", bounds=(0.0, 10.0))
     latency: float = setting(
         0.0,
         "the hand's frames are late by this [s], 0.016 for many USB adapters",
         bounds=(0.0, 10.0),
-        unit="s",
     )
 
     def __post_init__(self) -> None:

@@ -356,7 +356,7 @@ PRESET = r"randomize must be a preset \(nominal, .*; got "
         (
             GRASP,
             {"randomize": {"servo_lag": 0.1}},
-            r"servo_lag = 0.1 must be a range .* \[0, 0.15\]",
+            r"servo_lag = 0.1 s must be a range .* \[0, 0.15\] s",
         ),
         (GRASP, {"grasp": ["rod"]}, r"no grasp \['rod'\]"),
         (GRASP, {"grasp": 3}, "no grasp 3"),
@@ -401,17 +401,21 @@ PRESET = r"randomize must be a preset \(nominal, .*; got "
             {"config": {"radius": 0.01}},
             r"config radius = 0.01 .*a range .*, such as \[0.01, 0.01\]$",
         ),
-        (GRASP, {"config": {"radius": 9}}, r"config radius = 9 .*within \[0.002, 0.06\]$"),
+        (GRASP, {"config": {"radius": 9}}, r"config radius = 9 .*within \[0.002, 0.06\] m$"),
         (
             GRASP,
             {"config": {"radius": [0.03, 0.01]}},
             r"config radius = .*must be a range .*within \[0.002, 0.06\]",
         ),
-        (GRASP, {"config": {"mass": [0.0, 0.1]}}, r"config mass = .*within \[0.001, 2\]"),
+        (
+            GRASP,
+            {"config": {"mass": [0.0, 0.1]}},
+            r"config mass = .* kg must .*within \[0.001, 2\] kg",
+        ),
         (
             GRASP,
             {"config": {"drop_distance": True}},
-            "config drop_distance = True must be a number within",
+            "config drop_distance = True m must be a number within",
         ),
         (
             GRASP,
