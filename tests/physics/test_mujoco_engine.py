@@ -277,3 +277,7 @@ def test_without_opengl_a_picture_is_one_clear_line(begun, monkeypatch):
     ) as caught:
         engine.picture(0, Viewpoint(), np.zeros(3))
     assert "\n" not in str(caught.value)
+    words = ("evaluate", "--policy", "random", "--episodes", "1", "--workers", "1")
+    done = python("-m", "hpac", *words, MUJOCO_GL="none")
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
+    assert done.stderr.startswith("error: MUJOCO_GL = 'none' does not work here (invalid value ")
