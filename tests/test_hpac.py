@@ -76,7 +76,9 @@ def test_the_help_of_a_command_needs_no_extra_and_loads_no_engine():
     assert [words for words, _ in helps] == [f"status 0: {name} --help" for name in NAMES]
     assert re.findall(r"^usage: hpac (\w+)", done.stdout, re.M) == NAMES
     assert modules >= {"numpy", "gymnasium"}
-    assert [words for words, found in helps if {"pybullet", "mujoco"} & found] == []
+    assert [
+        words for words, found in helps if {"pybullet", "mujoco", "scipy.optimize"} & found
+    ] == []
     assert needing == "status 2: posture all", "something of what is refused is needed elsewhere"
     assert done.stderr.startswith("error: this command needs more: pip install '.[study]'")
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import optimize
+import scipy  # whose parts are loaded when they are used
 
 from hpac_gym.calibration.combinations import (
     Combination,
@@ -175,8 +175,8 @@ class _Problem:
             ]
         )
 
-    def solve(self, start: Array, scale: float) -> optimize.OptimizeResult:
-        return optimize.least_squares(
+    def solve(self, start: Array, scale: float) -> scipy.optimize.OptimizeResult:
+        return scipy.optimize.least_squares(
             self.rows,
             start,
             args=(scale,),
@@ -204,7 +204,9 @@ class _Problem:
             return np.clip(solution + prior.sigma * steps, prior.lower, prior.upper)
 
         across, along = np.linalg.qr(
-            optimize.approx_fprime(solution, lambda unknowns: self.rows(unknowns, scale), 1e-6)
+            scipy.optimize.approx_fprime(
+                solution, lambda unknowns: self.rows(unknowns, scale), 1e-6
+            )
         )
         drawn = []
         for _ in range(count):
@@ -213,7 +215,7 @@ class _Problem:
             def missed(steps: Array, wanted: Array = wanted) -> Array:
                 return across.T @ (self.rows(within(steps), scale) - wanted)
 
-            steps = optimize.root(
+            steps = scipy.optimize.root(
                 missed,
                 np.zeros(len(solution)),
                 jac=lambda _: along * prior.sigma,
@@ -321,7 +323,7 @@ def fit_cmc(
         ) / deviation
         return np.concatenate([data, [zero / ZERO_SPREAD], solution[2:] / samples.noise[0]])
 
-    result = optimize.least_squares(
+    result = scipy.optimize.least_squares(
         misfit,
         [base, 0.0, *np.zeros(line.shape[1])],
         x_scale=[1.0, ZERO_SPREAD, *np.full(line.shape[1], samples.noise[0])],

@@ -3,6 +3,7 @@
 import warnings
 
 import numpy as np
+import scipy  # whose parts are loaded when they are used
 
 from hpac_gym.calibration.processing import (
     FAR,
@@ -207,9 +208,7 @@ def _judged_joints(
         pair = pair[~np.isnan(pair).any(axis=1)]
         if joint == root or not (_travel(pair) >= 0.1).all():
             continue
-        from scipy import stats  # takes half a second to load
-
-        ratio = max(float(stats.theilslopes(pair[:, 1], pair[:, 0]).slope), 1e-3)
+        ratio = max(float(scipy.stats.theilslopes(pair[:, 1], pair[:, 0]).slope), 1e-3)
         wanted = base.elastic_ratio[joint]
         turns = f"{JOINTS[joint]} turns {ratio:.3f} rad for each rad of {SERVOS[swept]}, by design {wanted:.3f}"
         lag, error = lag_behind(segment, root, joint)

@@ -5,6 +5,7 @@ Here unwrapping precedes the filter, and mistaken markers are left out: a low-pa
 over neighbouring samples. On a record without them this makes no difference."""
 
 import numpy as np
+import scipy  # whose parts are loaded when they are used
 
 from hpac_gym.calibration.record import REST, RecordError, Sweep, joints_of_servo
 from hpac_gym.errors import WorkspaceError
@@ -74,10 +75,8 @@ def off_neighbours(values: Array) -> Array:
     """Distance of each value, without NaN, from the running median, which a steady motion equals;
     mistaken markers are far from it.
     """
-    from scipy import ndimage
-
     seen = values[~np.isnan(values)]
-    off: Array = np.abs(seen - ndimage.median_filter(seen, NEIGHBOURS, mode="nearest"))
+    off: Array = np.abs(seen - scipy.ndimage.median_filter(seen, NEIGHBOURS, mode="nearest"))
     return off
 
 
@@ -112,17 +111,15 @@ def low_pass(values: Array, rate_hz: float, cutoff_hz: float) -> Array:
         WorkspaceError: The cut-off is not between 0 and half of the sampling rate.
         RecordError: Fewer samples than the filter needs at its ends.
     """
-    from scipy import signal  # takes a second to load, and most commands do not filter
-
     if not 0 < cutoff_hz < rate_hz / 2:
         raise WorkspaceError(f"cut-off = {cutoff_hz} Hz must lie between 0 and {rate_hz / 2:g} Hz")
-    sections = signal.butter(2, cutoff_hz, fs=rate_hz, output="sos")
+    sections = scipy.signal.butter(2, cutoff_hz, fs=rate_hz, output="sos")
     pad = int(np.ceil(rate_hz / cutoff_hz))
     if len(values) <= pad:
         raise RecordError(
             f"a segment of {len(values)} samples is too short: the filter needs more than {pad}"
         )
-    filtered: Array = signal.sosfiltfilt(sections, values, axis=0, padlen=pad)
+    filtered: Array = scipy.signal.sosfiltfilt(sections, values, axis=0, padlen=pad)
     return filtered
 
 
