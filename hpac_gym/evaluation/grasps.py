@@ -221,6 +221,7 @@ def run(options: argparse.Namespace) -> int:
     }
     if told := about(options.policy, options.normalize):
         result["policy"] = {"file": options.policy, **told}
+    print(json.dumps(result, indent=2) if options.json else table(rows), flush=True)
     trials = {f"{row.grasp}/{row.policy}": [asdict(trial) for trial in row.trials] for row in rows}
     write_text(
         options.out / "grasps.json", json.dumps({**result, "trials": trials}, indent=2) + "\n"
@@ -235,6 +236,5 @@ def run(options: argparse.Namespace) -> int:
     jobs = [(options.policy, grasp, seed, made, options.normalize) for grasp, seed in seeds.items()]
     seen = shared(portrait, jobs, options.workers, "pictures")
     write_pictures(options.out, dict(zip(seeds, seen, strict=True)))
-    print(json.dumps(result, indent=2) if options.json else table(rows))
     print(f"written to {options.out}", file=sys.stderr)
     return 0

@@ -6,9 +6,11 @@ import pytest
 from PIL import Image
 
 from hpac import main
+from hpac_gym.command import USAGE_ERROR
 from hpac_gym.envs import GRASPS
 from hpac_gym.evaluation.pictures import TITLE
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
+from hpac_gym.physics.engine import PhysicsError
 
 
 def test_it_writes_numbers_table_pictures_and_a_sheet(tmp_path, capsys):
@@ -39,6 +41,18 @@ def test_it_writes_numbers_table_pictures_and_a_sheet(tmp_path, capsys):
     sheet = Image.open(tmp_path / "contact_sheet.png")
     single = Image.open(tmp_path / "press.png")
     assert sheet.size == (2 * single.width, single.height + TITLE)
+
+
+def test_what_was_measured_is_told_where_no_picture_can_be_drawn(tmp_path, capsys, monkeypatch):
+    def broken(*_):
+        raise PhysicsError("no OpenGL")
+
+    monkeypatch.setattr("hpac_gym.evaluation.pictures.portrait", broken)
+    words = ["--grasps", "press", "-n", "1", "--workers", "1", "--out", str(tmp_path)]
+    assert main(["grasps", *words]) == USAGE_ERROR
+    told = capsys.readouterr()
+    assert told.out == (tmp_path / "grasps.md").read_text()
+    assert told.err == "error: no OpenGL\n"
 
 
 @pytest.mark.slow
