@@ -16,7 +16,7 @@ from typing import NoReturn
 sys.modules.setdefault("hpac", sys.modules[__name__])  # read by hpac_gym, also for python -m hpac
 
 from hpac_gym import __version__  # noqa: E402
-from hpac_gym.command import USAGE_ERROR, Parser, run  # noqa: E402
+from hpac_gym.command import USAGE_ERROR, Formatter, Parser, run  # noqa: E402
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,7 +210,10 @@ def parser_of(argv: Sequence[str]) -> Parser:
         required=True,
         help=argparse.SUPPRESS,
     )
-    parsers = {row.name: subparsers.add_parser(row.name, description=row.help) for row in COMMANDS}
+    parsers = {
+        row.name: subparsers.add_parser(row.name, description=row.help, formatter_class=Formatter)
+        for row in COMMANDS
+    }
     name = next((word for word in argv if not word.startswith("-")), None)
     row = next((row for row in COMMANDS if row.name == name), None)
     if not argv:

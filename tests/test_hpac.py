@@ -75,6 +75,7 @@ def test_the_help_of_a_command_needs_no_extra_and_loads_no_engine():
     *helps, (needing, modules) = loaded(done).items()
     assert [words for words, _ in helps] == [f"status 0: {name} --help" for name in NAMES]
     assert re.findall(r"^usage: hpac (\w+)", done.stdout, re.M) == NAMES
+    assert "(default: runs/deploy.jsonl)" in done.stdout
     assert modules >= {"numpy", "gymnasium"}
     assert [
         words for words, found in helps if {"pybullet", "mujoco", "scipy.optimize"} & found

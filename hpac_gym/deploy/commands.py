@@ -55,9 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="SOURCE",
         help="where it is, in the hand's frame: X,Y,Z[,QX,QY,QZ,QW] [m], a .csv, udp:PORT, or camera:N[,FILE]",
     )
-    parser.add_argument(
-        "--arm", default="none", help="none (default), enter (a person) or udp:HOST:PORT"
-    )
+    parser.add_argument("--arm", default="none", help="none, enter (a person) or udp:HOST:PORT")
     parser.add_argument(
         "--env", metavar="ID", help="environment of a policy whose file names none (HPAC-Grasp-v0)"
     )

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from hpac_gym.command import Formatter, whole_number
+from hpac_gym.command import whole_number
 from hpac_gym.evaluation.environment import make_env, versions
 from hpac_gym.evaluation.evaluate import evaluate, failures_by_phase
 from hpac_gym.evaluation.results import (
@@ -204,7 +204,6 @@ def judge_all(args: argparse.Namespace) -> Results:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of `hpac benchmark`."""
-    parser.formatter_class = Formatter
     parser.add_argument("env", nargs="?", help=f"one of {', '.join(SPLITS)}")
     parser.add_argument(
         "--policy",

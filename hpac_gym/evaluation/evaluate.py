@@ -20,7 +20,7 @@ import gymnasium
 import numpy as np
 from tqdm import tqdm
 
-from hpac_gym.command import Formatter, minutes, whole_number
+from hpac_gym.command import minutes, whole_number
 from hpac_gym.envs import HandEnv
 from hpac_gym.envs.options import check_number
 from hpac_gym.evaluation.blind import CEILING, FLOOR, has_score, score
@@ -242,7 +242,6 @@ def add_seeds_and_workers(parser: argparse.ArgumentParser) -> None:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of `hpac evaluate`."""
-    parser.formatter_class = Formatter
     add_policy_and_env(
         parser,
         "id, also module:My-v0 (default: a policy file's own, otherwise HPAC-Grasp-v0)",

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from hpac_gym.calibration.posterior import DRAWS, read_draws
-from hpac_gym.command import Formatter, add_json, say, whole_number
+from hpac_gym.command import add_json, say, whole_number
 from hpac_gym.evaluation.environment import make_env
 from hpac_gym.evaluation.evaluate import add_seeds_and_workers, run_block
 from hpac_gym.evaluation.options import add_policy_and_env, env_of
@@ -83,7 +83,6 @@ def forecast(
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of `hpac forecast`."""
-    parser.formatter_class = Formatter
     parser.add_argument(
         "file",
         type=Path,

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from hpac_gym.command import Formatter, whole_number
+from hpac_gym.command import whole_number
 from hpac_gym.evaluation.environment import make_env
 from hpac_gym.evaluation.episodes import run_episodes, worlds
 from hpac_gym.evaluation.evaluate import add_seeds_and_workers, parts_of
@@ -152,7 +152,6 @@ def table(rows: Sequence[Row]) -> str:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of `hpac grasps`."""
-    parser.formatter_class = Formatter
     parser.description = _ABOUT
     parser.add_argument(
         "--policy",

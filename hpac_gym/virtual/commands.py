@@ -52,8 +52,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--reveal", action="store_true", help="tell at once, not at the end, what was drawn"
     )
-    parser.add_argument("--pose-port", type=int, default=0, help="UDP port that poses go to (free)")
-    parser.add_argument("--arm-port", type=int, default=0, help="UDP port of the arm (a free one)")
+    parser.add_argument(
+        "--pose-port", type=int, default=0, help="UDP port that poses go to; 0: a free one"
+    )
+    parser.add_argument(
+        "--arm-port", type=int, default=0, help="UDP port of the arm; 0: a free one"
+    )
     for fault in fields(Faults):
         parser.add_argument(
             f"--{fault.name}",
@@ -89,9 +93,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def add_scene(parser: argparse.ArgumentParser) -> None:
     """The arguments of a scene."""
-    parser.add_argument(
-        "--env", default=GRASP, choices=POLICIES, metavar="ID", help=f"scene ({GRASP})"
-    )
+    parser.add_argument("--env", default=GRASP, choices=POLICIES, metavar="ID", help="scene")
     parser.add_argument("--grasp", metavar="NAME", help="scene of one of the sixteen named grasps")
     parser.add_argument(
         "--object",
