@@ -109,9 +109,10 @@ class HandVecEnv(VecEnv):
         `HandVectorEnv.set_attr`.
         """
         require("set_attr", attr_name, "randomization")  # as there, and so for its value
+        value = randomization(value)
         values = list(self.envs.get_attr(attr_name))
         for world in self._get_indices(indices):
-            values[world] = randomization(value)
+            values[world] = value
         self.envs.set_attr(attr_name, values)
 
     def env_method(

@@ -141,8 +141,10 @@ def _header_faults(results: Results) -> Iterator[str]:
     if budget:
         yield from wrong_seeds(*results["training_seeds"])
     yield from over_budget(results)
-    if len({file["sha256"] for file in results["files"]}) not in (0, len(results["seeds"])):
-        yield f"files are {len(results['files'])}: each of {len(results['seeds'])} runs has its own, or none has one"
+    files = [file["sha256"] for file in results["files"]]
+    runs = len(results["seeds"])
+    if len(set(files)) != len(files) or len(files) not in (0, runs):
+        yield f"files are {len(files)}: each of {runs} runs has its own, or none has one"
     yield from (
         f"field '{name}' is missing"
         for name in ("policy", "about", "obs", "command")

@@ -253,6 +253,7 @@ def broken(results, *path, value):
         ),
         (("files",), [{"sha256": "a"}] * 5, "each of 5 runs has its own, or none has one"),
         (("files",), [{"sha256": "a"}, {"sha256": "b"}], "files are 2: each of 5 runs has its own"),
+        (("files",), [{"sha256": name} for name in "abcdee"], "files are 6: each of 5 runs has"),
         (("versions", "mujoco-core"), None, "version of mujoco-core is missing"),
         (("cells", 4), None, "split 'one' of seed 2 is missing"),
         (("cells", 0, "split"), "two", "split 'two' of seed 0 occurs 2 times"),

@@ -68,7 +68,7 @@ def test_an_example_trains_a_policy_wherever_it_is_copied(tmp_path):
     said = (
         "error: env is 'hpac_gym:HPAC-GraspType-v0': a closure sees a vector and gives six actions"
     )
-    assert done.stderr.splitlines()[-1] == said
+    assert (done.returncode, done.stderr.splitlines()[-1]) == (1, said)
     with gymnasium.make("hpac_gym:HPAC-Grasp-v0", engine="mujoco") as env:
         for name, _, out, *_ in lines:
             written = f"{out}/{WRITES[name.removesuffix('.py')]}"
